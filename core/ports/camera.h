@@ -1,0 +1,83 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <variant>
+
+#include "core/base/clock.h"
+#include "core/base/result.h"
+#include "core/base/units.h"
+#include "core/image/image.h"
+#include "core/session/session.h"
+
+namespace omnihdr {
+
+// What a camera can do, told once it is open.
+struct CameraInfo {
+  CameraDescription description;
+  Response response = *Response::Linear();
+  ExposureTime shortest;
+  ExposureTime longest;
+  // Exposures between which the camera can distinguish; 0 = continuous.
+  double exposure_quantum_s = 0.0;
+  // Frames after which a new exposure is in force; 0 = with the next frame.
+  int exposure_latency_frames = 0;
+  // Least time between two triggers that the camera accepts.
+  Nanoseconds min_trigger_interval{0};
+  // What the camera can say about the exposure a frame really had.
+  ExposureProof proof = ExposureProof::kNone;
+  // JSON object for session.json's additive keys, empty for none.
+  std::string extra_json;
+};
+
+// One picture to take: which trigger wants it and with what exposure.
+struct ExposureRequest {
+  TriggerId trigger{};
+  Exposure exposure;
+  HostTime trigger_time;
+  // Where the vehicle is when the trigger fires, as the odometer says.
+  std::optional<double> odometer_m;
+};
+
+// A frame as it comes from the camera. Buffers circulate with a status: a damaged or late frame is
+// delivered and marked, never silently left out.
+struct CameraFrame {
+  TriggerId trigger{};
+  FrameStatus status = FrameStatus::kOk;  // kOk, kCorrupt or kMissedTrigger
+  std::string detail;                     // when not ok
+  std::uint64_t camera_counter = 0;       // the camera's own frame counter: gaps are lost frames
+  // The exposure the frame really had and how that is known. Nothing when the camera cannot tell.
+  std::optional<Exposure> measured_exposure;
+  ExposureProof proof = ExposureProof::kNone;
+  HostTime mid_exposure;
+  std::optional<CameraTime> camera_time;
+  std::optional<double> temperature_c;
+  std::string settings_readback_json;
+  std::string truth_json;  // simulator only
+  // Values as the session's camera description says: panorama RGB, or a Bayer stack.
+  std::variant<Image<std::uint8_t>, Image<std::uint16_t>> pixels;
+};
+
+// A camera that takes one picture at a time on request. Life: Open -> Start -> (Trigger, Receive)* ->
+// Stop -> Start ... -> Close; every call in any state returns an error rather than misbehave, and
+// Start/Stop/Close are idempotent. Threads: Trigger from one thread and Receive from another at the
+// same time; everything else when neither runs. No exception leaves a camera.
+class Camera {
+ public:
+  virtual ~Camera() = default;
+  // Finds and configures the device: everything automatic off, settings read back. kUnavailable when
+  // there is no such device (yet).
+  virtual Result<CameraInfo> Open() = 0;
+  virtual void Close() = 0;
+  virtual Status Start() = 0;
+  virtual void Stop() = 0;
+  // Commands the exposure. Returns at once; the picture arrives through Receive. kTemporary when the
+  // camera is still busy with the picture before; kUnavailable when it has gone.
+  virtual Status Trigger(const ExposureRequest& request) = 0;
+  // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable when
+  // the device has gone and Open must be called again.
+  virtual Result<CameraFrame> Receive(Nanoseconds timeout) = 0;
+};
+
+}  // namespace omnihdr

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/base/file.h"
+#include "core/base/result.h"
+#include "core/session/session.h"
+
+namespace omnihdr {
+
+// Writes a session: session.json once, then pixels and one journal line a frame. Law: when Append
+// returns success, the pixel file and the line are durable; whatever happens at any moment, the journal
+// is a prefix of what was appended, plus at most one torn line. One writer a session (an advisory lock
+// on frames.jsonl refuses a second). Not thread-safe.
+class SessionWriter {
+ public:
+  // Makes the directory (parents included), session.json and an empty journal. Fails when the directory
+  // already holds a session.
+  static Result<SessionWriter> Create(const std::filesystem::path& directory,
+                                      const SessionInfo& info);
+  // Continues an existing session: drops a torn last line from the journal, removes temporary files,
+  // and goes on with the next frame number.
+  static Result<SessionWriter> Resume(const std::filesystem::path& directory);
+
+  // Stores `file_bytes` (an encoded PNG, ...) as record.file, syncs it, then appends the line. When the
+  // pixels cannot be stored the line is still attempted, with status disk-full and no file, and the
+  // error is returned. record.crc32c is filled in. Empty file_bytes = a line only.
+  Status Append(FrameRecord record, std::span<const std::byte> file_bytes);
+
+  const std::filesystem::path& directory() const { return directory_; }
+  const SessionInfo& info() const { return info_; }
+  // Frames in the journal so far; the next frame number.
+  std::uint64_t next_frame() const { return next_frame_; }
+  // Position of the last line, or -1.
+  std::int64_t last_position() const { return last_position_; }
+  // How many lines the last position has.
+  int frames_at_last_position() const { return frames_at_last_position_; }
+  const std::vector<std::string>& warnings() const { return warnings_; }
+
+ private:
+  SessionWriter() = default;
+  std::filesystem::path directory_;
+  SessionInfo info_;
+  Fd journal_;
+  std::uint64_t next_frame_ = 0;
+  std::int64_t last_position_ = -1;
+  int frames_at_last_position_ = 0;
+  std::vector<std::string> warnings_;
+};
+
+}  // namespace omnihdr

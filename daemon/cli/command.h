@@ -1,0 +1,29 @@
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include "core/base/result.h"
+
+namespace CLI {
+class App;
+}
+
+namespace omnihdr {
+
+// One sub-command of `omnihdr`: adds itself (name, options, help) to the application. When the user calls
+// it, `run` ends up as what to do; its Result decides the exit code (sysexits.h), its value is the exit
+// code of success (0, or a verdict such as "differences found"). Options are owned by the command.
+using CommandRun = std::function<Result<int>()>;
+using AddCommand = void (*)(CLI::App& app, CommandRun& run);
+
+// The one visible list of commands, each in its own file of this folder.
+void AddProcessCommand(CLI::App& app, CommandRun& run);
+void AddMergeCommand(CLI::App& app, CommandRun& run);
+void AddSimulateCommand(CLI::App& app, CommandRun& run);
+void AddEvaluateCommand(CLI::App& app, CommandRun& run);
+void AddContactSheetCommand(CLI::App& app, CommandRun& run);
+void AddConfigCommand(CLI::App& app, CommandRun& run);
+void AddControlCommands(CLI::App& app, CommandRun& run);  // status, arm, disarm, trigger, watch, stop
+
+}  // namespace omnihdr

@@ -1,0 +1,78 @@
+# Language settings and the functions every folder uses to declare its one target.
+set(CMAKE_CXX_STANDARD 20)
+set(CMAKE_CXX_STANDARD_REQUIRED ON)
+set(CMAKE_CXX_EXTENSIONS OFF)
+set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+set(CMAKE_EXPORT_COMPILE_COMMANDS ON)
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release CACHE STRING "Build type" FORCE)
+endif()
+set(CMAKE_CXX_FLAGS_RELEASE "-O3 -DNDEBUG")
+
+find_program(CCACHE_PROGRAM ccache)
+if(CCACHE_PROGRAM AND NOT CMAKE_CXX_COMPILER_LAUNCHER)
+  set(CMAKE_CXX_COMPILER_LAUNCHER "${CCACHE_PROGRAM}")
+endif()
+
+find_package(Threads REQUIRED)
+find_package(PkgConfig REQUIRED)
+find_package(fmt REQUIRED)
+find_package(TBB REQUIRED)
+find_package(OpenEXR REQUIRED)
+find_package(OpenCVModules REQUIRED)
+find_package(Ceres REQUIRED)
+pkg_check_modules(EIGEN3 REQUIRED IMPORTED_TARGET eigen3)
+
+add_library(omnihdr_flags INTERFACE)
+target_compile_options(omnihdr_flags INTERFACE
+  -Wall -Wextra -Wpedantic -Wshadow -Wnon-virtual-dtor -Wold-style-cast -Wcast-qual
+  -Woverloaded-virtual -Wformat=2 -Wimplicit-fallthrough -Wno-psabi
+  # Sums in the order written: the same bytes whatever the vector width of the loop's remainder.
+  -fno-math-errno -fno-trapping-math)
+if(OMNIHDR_WERROR)
+  target_compile_options(omnihdr_flags INTERFACE -Werror)
+endif()
+if(OMNIHDR_SANITIZE)
+  target_compile_options(omnihdr_flags INTERFACE
+    -fsanitize=${OMNIHDR_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer)
+  target_link_options(omnihdr_flags INTERFACE -fsanitize=${OMNIHDR_SANITIZE})
+endif()
+target_include_directories(omnihdr_flags INTERFACE "${PROJECT_SOURCE_DIR}")
+target_compile_definitions(omnihdr_flags INTERFACE OMNIHDR_VERSION="${PROJECT_VERSION}")
+
+# omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
+# folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
+# a .cc file becomes a header-only target.
+function(omnihdr_library name)
+  cmake_parse_arguments(ARG "" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
+  file(GLOB sources CONFIGURE_DEPENDS *.cc)
+  foreach(file IN LISTS ARG_EXCLUDE)
+    list(REMOVE_ITEM sources "${CMAKE_CURRENT_SOURCE_DIR}/${file}")
+  endforeach()
+  if(sources)
+    add_library(${name} STATIC ${sources})
+    target_link_libraries(${name} PUBLIC omnihdr_flags ${ARG_DEPS} PRIVATE ${ARG_PRIVATE_DEPS})
+  else()
+    add_library(${name} INTERFACE)
+    target_link_libraries(${name} INTERFACE omnihdr_flags ${ARG_DEPS})
+  endif()
+endfunction()
+
+# omnihdr_test(unit_core_base LABELS fast DEPS core_base): one GoogleTest program from every
+# *_test.cc of the calling folder, each case a ctest test.
+function(omnihdr_test name)
+  cmake_parse_arguments(ARG "" "TIMEOUT" "DEPS;LABELS" ${ARGN})
+  file(GLOB sources CONFIGURE_DEPENDS *_test.cc)
+  if(NOT sources)
+    return()
+  endif()
+  if(NOT ARG_TIMEOUT)
+    set(ARG_TIMEOUT 120)
+  endif()
+  add_executable(${name} ${sources})
+  target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS} GTest::gmock GTest::gtest_main)
+  target_compile_definitions(${name} PRIVATE
+    OMNIHDR_SOURCE_DIR="${PROJECT_SOURCE_DIR}" OMNIHDR_BINARY_DIR="${PROJECT_BINARY_DIR}")
+  gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST
+    PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT})
+endfunction()
