@@ -1,0 +1,177 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "core/base/result.h"
+#include "core/base/units.h"
+#include "core/pipeline/options.h"
+#include "core/session/session.h"
+
+namespace omnihdr {
+
+// The configuration of the daemon and of the command line tool. One member per TOML key, in sections of
+// the same name; config/omnihdr.toml documents every key with its default, unit and range. Paths are
+// absolute or relative to the working directory once loaded: a relative path in a file is taken from
+// that file's directory.
+
+inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.toml";
+
+enum class OnExistingSession { kResume, kRefuse };
+enum class CameraDriver { kSim, kReplay };
+enum class SimScene { kHall, kYard, kTunnel, kStreet };
+enum class TriggerKind { kSoftware, kTimer, kDistance, kReplay };
+enum class LogLevel { kDebug, kInfo, kWarning, kError };
+
+std::string_view ToString(OnExistingSession value);
+std::string_view ToString(CameraDriver value);
+std::string_view ToString(SimScene value);
+std::string_view ToString(TriggerKind value);
+std::string_view ToString(LogLevel value);
+
+// [session]
+struct SessionConfig {
+  std::string directory = "/var/lib/omnihdr/sessions";  // session directories are made in here
+  std::string name;                                     // empty = UTC time stamp of the start
+  OnExistingSession on_existing = OnExistingSession::kResume;
+};
+
+// [camera.sim]
+struct SimCameraConfig {
+  SimScene scene = SimScene::kHall;
+  std::uint64_t seed = 1;
+  int width = 1536;  // of the panorama; its height follows from the projection
+  ProjectionKind projection = ProjectionKind::kEquirectangular;
+  double photons_full_well = 20000.0;  // electrons at value 255: shot noise
+  double read_noise = 0.5;             // code values rms
+  double speed_m_s = 1.0;
+  double path_curvature_per_m = 0.05;     // 1/radius of the vehicle's track, left positive
+  double path_rotation_deg_per_m = 5.0;   // yaw of the camera on the vehicle beyond the track's
+  double latency_s = 0.0;                 // trigger to frame
+  double lost_frame_probability = 0.0;
+  double corrupt_frame_probability = 0.0;
+  double exposure_error_probability = 0.0;
+  double max_distance_m = 0.0;            // the vehicle stops there; 0 = never
+};
+
+// [camera.replay]
+struct ReplayCameraConfig {
+  std::string session;  // directory; required when camera.driver = "replay"
+};
+
+// [camera]
+struct CameraConfig {
+  CameraDriver driver = CameraDriver::kSim;
+  double frame_timeout_s = 2.0;       // command to frame; then the trigger counts as camera-timeout
+  double exposure_tolerance = 0.02;   // relative difference of commanded and proved exposure
+  double reconnect_s = 2.0;           // between attempts to open a camera that has gone
+  SimCameraConfig sim;
+  ReplayCameraConfig replay;
+};
+
+// [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The form
+// that a later file gives replaces the other one.
+struct BracketConfig {
+  BracketOrder order = BracketOrder::kSawtooth;
+  std::vector<double> exposures_s = {0.001, 0.004, 0.016};
+  double start_s = 0.0;  // 0 = exposures_s is in force
+  double step_stops = 1.6;
+  int count = 3;
+  double gain_db = 0.0;
+  int frames_per_position = 1;
+  // The exposures in force, in the order configured. Never empty in a loaded configuration.
+  std::vector<ExposureTime> Exposures() const;
+};
+
+// [trigger]
+struct TriggerConfig {
+  TriggerKind source = TriggerKind::kSoftware;
+  double interval_s = 1.0;    // timer
+  double distance_m = 0.3;    // distance
+  std::uint64_t limit = 0;    // triggers after which the source disarms; 0 = none
+  bool armed_at_start = false;
+};
+
+// [recorder]
+struct RecorderConfig {
+  int queue_frames = 8;
+  int png_compression = 1;
+};
+
+// [api]
+struct ApiConfig {
+  std::string socket = "/run/omnihdr/api.sock";
+  unsigned socket_mode = 0660;
+};
+
+// [log]
+struct LogConfig {
+  LogLevel level = LogLevel::kInfo;
+};
+
+// [pipeline], and in `options`: [input] [output] [photometry] [stereo] [pose] [merge]
+struct PipelineConfig {
+  bool enabled = true;
+  int workers = 0;  // 0 = as many as there are processors
+  PipelineOptions options;
+};
+
+struct DaemonConfig {
+  SessionConfig session;
+  CameraConfig camera;
+  BracketConfig bracket;
+  TriggerConfig trigger;
+  RecorderConfig recorder;
+  ApiConfig api;
+  LogConfig log;
+  PipelineConfig pipeline;
+};
+
+// One thing that is wrong, as "file:line: key: value, expected ...".
+struct ConfigProblem {
+  std::string file;
+  int line = 0;     // 0 = the file as a whole
+  std::string key;  // empty when the file is not readable or not TOML
+  std::string message;
+  std::string ToString() const;
+};
+
+// Where a key's value comes from.
+struct ConfigSource {
+  std::string file;  // empty = built-in default
+  int line = 0;
+};
+
+struct LoadedConfig {
+  DaemonConfig config;
+  std::vector<std::string> files;               // those read, in order
+  std::map<std::string, ConfigSource> sources;  // by key; a key that is missing here has its default
+  std::vector<ConfigProblem> problems;          // all that were found; empty = the config is usable
+  bool ok() const { return problems.empty(); }
+};
+
+// Reads `file` and then omnihdr.d/*.toml beside it in lexical order, each overriding key by key what came
+// before. Reports every problem found, not just the first; what is wrong keeps the value from before.
+// With `must_exist` false a missing `file` means defaults.
+LoadedConfig LoadConfig(const std::filesystem::path& file, bool must_exist = true);
+// One TOML text as if it were the only file. `name` stands in messages; relative paths are taken from
+// its directory.
+LoadedConfig ParseConfig(std::string_view toml, const std::string& name);
+// The configuration, or one kConfig error (exit code 78) with all problems, a line each.
+Result<DaemonConfig> ConfigOrError(LoadedConfig loaded);
+
+// The names of all keys ("camera.sim.width"), in the order of config/omnihdr.toml.
+std::vector<std::string> ConfigKeyNames();
+// The value of one key as TOML text ("1536", "\"hall\"", "[0.001, 0.004]").
+Result<std::string> ConfigValueToToml(const DaemonConfig& config, std::string_view key);
+
+// Every effective value and where it came from: TOML with comments, or one JSON object
+// {"files": [...], "values": {key: {"value": ..., "source": "default" | "file:line"}}}.
+std::string FormatConfig(const LoadedConfig& loaded);
+std::string FormatConfigJson(const LoadedConfig& loaded);
+
+}  // namespace omnihdr
