@@ -14,22 +14,23 @@
 namespace omnihdr {
 
 // Writes a session: session.json once, then pixels and one journal line a frame. Law: when Append
-// returns success, the pixel file and the line are durable; whatever happens at any moment, the journal
-// is a prefix of what was appended, plus at most one torn line. One writer a session (an advisory lock
-// on frames.jsonl refuses a second). Not thread-safe.
+// returns success, the pixel file and the line are durable; whatever happens at any moment, the
+// journal is a prefix of what was appended, plus at most one torn line. One writer a session (an
+// advisory lock on frames.jsonl refuses a second). Not thread-safe.
 class SessionWriter {
  public:
-  // Makes the directory (parents included), session.json and an empty journal. Fails when the directory
-  // already holds a session.
+  // Makes the directory (parents included), session.json and an empty journal. Fails when the
+  // directory already holds a session.
   static Result<SessionWriter> Create(const std::filesystem::path& directory,
                                       const SessionInfo& info);
-  // Continues an existing session: drops a torn last line from the journal, removes temporary files,
-  // and goes on with the next frame number.
+  // Continues an existing session: drops a torn last line from the journal, removes temporary
+  // files, and goes on with the next frame number.
   static Result<SessionWriter> Resume(const std::filesystem::path& directory);
 
-  // Stores `file_bytes` (an encoded PNG, ...) as record.file, syncs it, then appends the line. When the
-  // pixels cannot be stored the line is still attempted, with status disk-full and no file, and the
-  // error is returned. record.crc32c is filled in. Empty file_bytes = a line only.
+  // Stores `file_bytes` (an encoded PNG, ...) as record.file, syncs it, then appends the line. When
+  // the pixels cannot be stored the line is still attempted, with status disk-full and no file, and
+  // the error is returned. record.crc32c is filled in. Empty file_bytes = a line only. On any error
+  // of the line itself the journal keeps its earlier lines and the frame number is still free.
   Status Append(FrameRecord record, std::span<const std::byte> file_bytes);
 
   const std::filesystem::path& directory() const { return directory_; }
@@ -46,7 +47,13 @@ class SessionWriter {
   SessionWriter() = default;
   std::filesystem::path directory_;
   SessionInfo info_;
+  Status Repair();
+  Status AppendLine(const FrameRecord& record);
+
   Fd journal_;
+  std::uint64_t journal_bytes_ = 0;   // length of the complete lines
+  std::uint64_t reserved_bytes_ = 0;  // blocks of the journal allocated up to here
+  bool needs_repair_ = false;         // there may be bytes after the complete lines
   std::uint64_t next_frame_ = 0;
   std::int64_t last_position_ = -1;
   int frames_at_last_position_ = 0;

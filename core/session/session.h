@@ -15,8 +15,8 @@
 
 namespace omnihdr {
 
-// The data of a session directory, version 1 (README: "Session format"). Pure data: reading and writing
-// are in session_reader.h, journal.h and view_writer.h.
+// The data of a session directory, version 1 (README: "Session format"). Pure data: reading and
+// writing are in session_reader.h, journal.h and view_writer.h.
 
 enum class Layout { kPanorama, kRig, kPerspective };
 std::string_view ToString(Layout layout);
@@ -31,15 +31,16 @@ struct PerspectiveIntrinsics {
 struct CameraDescription {
   std::string model;
   std::string serial;
-  int bits = 8;  // significant bits of a value, 8..16; values are stored low-aligned in 16-bit files
+  int bits =
+      8;  // significant bits of a value, 8..16; values are stored low-aligned in 16-bit files
   Layout layout = Layout::kPanorama;
-  int width = 0;   // of one stored frame, in pixels
+  int width = 0;  // of one stored frame, in pixels
   int height = 0;
   ProjectionKind projection = ProjectionKind::kEquirectangular;  // layout panorama
   double z_min = 0.0;                                            // cylindrical only
   double z_max = 0.0;
-  std::string bayer;                   // layout rig: RGGB, GRBG, GBRG or BGGR
-  PerspectiveIntrinsics intrinsics;    // layout perspective
+  std::string bayer;                      // layout rig: RGGB, GRBG, GBRG or BGGR
+  PerspectiveIntrinsics intrinsics;       // layout perspective
   Projection PanoramaProjection() const;  // requires layout panorama
 };
 
@@ -49,8 +50,8 @@ std::string_view ToString(BracketOrder order);
 struct BracketDescription {
   BracketOrder order = BracketOrder::kSawtooth;
   std::vector<ExposureTime> exposures;
-  // Frames taken at one position: 1 while driving; the whole bracket for a data matrix. Additive key
-  // "frames_per_position", default 1.
+  // Frames taken at one position: 1 while driving; the whole bracket for a data matrix. Additive
+  // key "frames_per_position", default 1.
   int frames_per_position = 1;
 };
 
@@ -59,8 +60,8 @@ struct SessionInfo {
   CameraDescription camera;
   Response response = *Response::Linear();
   std::optional<BracketDescription> bracket;
-  // Free-form additive keys that our own tools wrote ("simulation": ...), kept as JSON text and passed
-  // through; empty when absent. A JSON object: {"simulation": {...}}.
+  // Free-form additive keys that our own tools wrote ("simulation": ...), kept as JSON text and
+  // passed through; empty when absent. A JSON object: {"simulation": {...}}.
   std::string extra_json;
 };
 
@@ -106,16 +107,16 @@ struct FrameRecord {
   std::optional<double> odometer_m;
   FrameStatus status = FrameStatus::kOk;
   // Optional keys.
-  std::string detail;                    // for people: why the status is not ok
-  std::optional<std::uint32_t> crc32c;   // of the pixel file
-  std::optional<UtcTime> utc;            // "utc_ns": CLOCK_REALTIME of the trigger
+  std::string detail;                          // for people: why the status is not ok
+  std::optional<std::uint32_t> crc32c;         // of the pixel file
+  std::optional<UtcTime> utc;                  // "utc_ns": CLOCK_REALTIME of the trigger
   ExposureProof proof = ExposureProof::kNone;  // "exposure_proof"
   std::optional<GnssFix> gnss;
   std::optional<double> heading_deg;
-  std::optional<Pose> pose;              // known from elsewhere
+  std::optional<Pose> pose;  // known from elsewhere
   std::optional<double> temperature_c;
-  std::string settings_readback_json;    // JSON value as text; empty when absent
-  std::string truth_json;                // simulator's truth, JSON object as text; never used to process
+  std::string settings_readback_json;  // JSON value as text; empty when absent
+  std::string truth_json;  // simulator's truth, JSON object as text; never used to process
 };
 
 }  // namespace omnihdr

@@ -14,10 +14,10 @@ namespace omnihdr {
 // What view.json says.
 struct ViewRecord {
   PositionId position{};
-  Pose pose;                     // world_from_camera
-  bool metric_scale = false;     // scale: "metric" or "relative"
-  int chain = 0;                 // positions of different chains have no common world; additive key
-  std::string chain_reason;      // why a new chain began here, empty when it did not
+  Pose pose;                  // world_from_camera
+  bool metric_scale = false;  // scale: "metric" or "relative"
+  int chain = 0;              // positions of different chains have no common world; additive key
+  std::string chain_reason;   // why a new chain began here, empty when it did not
   // camera_from_output of the written panoramas.
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
   std::vector<std::uint64_t> frames;  // journal numbers of the frames that contributed
@@ -27,23 +27,25 @@ struct ViewRecord {
   double radiance_max = 0.0;
   double valid_fraction = 0.0;
   std::vector<std::string> warnings;
-  // JSON object as text: what the pipeline needs to continue after this view (additive key "resume").
+  // JSON object as text: what the pipeline needs to continue after this view (additive key
+  // "resume").
   std::string resume_json;
 };
 std::string FormatViewRecord(const ViewRecord& record);
 Result<ViewRecord> ParseViewRecord(std::string_view text, const std::string& name);
 
-// Complete view directories appear by rename: `fill` writes every file of the view into the temporary
-// directory it is given; then everything is synced and renamed to VIEWS/000003. On any failure the
-// temporary directory is removed and no half view is visible. An existing view is replaced only when
-// `replace` is set.
+// Complete view directories appear by rename: `fill` writes every file of the view into the
+// temporary directory it is given; then everything is synced and renamed to VIEWS/000003. On any
+// failure the temporary directory is removed and no half view is visible. An existing view is
+// replaced only when `replace` is set.
 Status WriteView(const std::filesystem::path& views_directory, PositionId position, bool replace,
                  const std::function<Status(const std::filesystem::path& directory)>& fill);
 
 std::string ViewDirectoryName(PositionId position);  // "000003"
 // Positions with a complete view (a directory with a readable view.json), ascending.
 Result<std::vector<PositionId>> CompleteViews(const std::filesystem::path& views_directory);
-Result<ViewRecord> ReadViewRecord(const std::filesystem::path& views_directory, PositionId position);
+Result<ViewRecord> ReadViewRecord(const std::filesystem::path& views_directory,
+                                  PositionId position);
 // Removes what an interrupted writer left behind; returns how many.
 Result<int> RemoveTemporaryViews(const std::filesystem::path& views_directory);
 
