@@ -1,0 +1,283 @@
+#include "core/capture/capture_controller.h"
+
+#include <gtest/gtest.h>
+#include <rapidcheck/gtest.h>
+
+#include "tests/unit/core/capture/simulated.h"
+
+namespace omnihdr {
+namespace {
+
+using std::chrono::milliseconds;
+using testing_capture::FrameFor;
+using testing_capture::KeepingSink;
+using testing_capture::SimulatedClock;
+using testing_capture::SmallCamera;
+
+class FixedPosition final : public PositionSource {
+ public:
+  std::optional<double> OdometerMetres(HostTime) const override { return 12.5; }
+};
+
+BracketPlan Sawtooth(int frames_per_position = 1) {
+  BracketOptions options;
+  options.frames_per_position = frames_per_position;
+  return BracketPlan::Make(options, {}).value();
+}
+
+// The controller with a camera that only notes what it is asked.
+struct Bench {
+  explicit Bench(std::size_t buffers = 4, std::size_t lines = 1000, std::uint64_t first = 0,
+                 int frames_per_position = 1)
+      : sink(buffers, lines),
+        controller(
+            Sawtooth(frames_per_position), SmallCamera(), CaptureOptions{}, TriggerId{first}, sink,
+            [this](const ExposureRequest& request) -> Status {
+              if (!refusal.empty()) return Fail(ErrorKind::kTemporary, "{}", refusal);
+              commanded.push_back(request);
+              return {};
+            },
+            &positions, clock) {}
+
+  Result<AcceptedTrigger> TryTrigger(std::uint64_t lost_before = 0) {
+    TriggerEvent event;
+    event.time = clock.Now();
+    event.lost_before = lost_before;
+    return controller.OnTrigger(event);
+  }
+  void Trigger(std::uint64_t lost_before = 0) { EXPECT_TRUE(TryTrigger(lost_before)); }
+  const FrameRecord& record(std::size_t i) const { return sink.lines.at(i).record; }
+
+  SimulatedClock clock;
+  FixedPosition positions;
+  KeepingSink sink;
+  std::string refusal;
+  std::vector<ExposureRequest> commanded;
+  CaptureController controller;
+};
+
+TEST(CaptureController, ATriggerBecomesALineWithPixelsAndTimes) {
+  Bench bench;
+  const auto accepted = bench.TryTrigger();
+  ASSERT_TRUE(accepted);
+  EXPECT_EQ(accepted->step, 0);
+  ASSERT_EQ(bench.commanded.size(), 1U);
+  EXPECT_EQ(bench.commanded[0].odometer_m, 12.5);
+  bench.clock.Advance(milliseconds(30));
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  ASSERT_EQ(bench.sink.lines.size(), 1U);
+  const FrameRecord& record = bench.record(0);
+  EXPECT_EQ(record.status, FrameStatus::kOk);
+  EXPECT_EQ(Value(record.frame), 0U);
+  EXPECT_EQ(Value(record.position), 0);
+  EXPECT_EQ(record.proof, ExposureProof::kEmbedded);
+  EXPECT_DOUBLE_EQ(record.exposure.time.seconds(), 0.001);
+  EXPECT_EQ(record.trigger_time.ns(), 1'000'000'000);
+  EXPECT_EQ(record.timestamp.ns(), 1'005'000'000);
+  // UTC of the trigger, not of the moment the line is made.
+  EXPECT_EQ(record.utc->ns(), SimulatedClock::kUtcOffset + 1'000'000'000);
+  EXPECT_EQ(record.odometer_m, 12.5);
+  EXPECT_TRUE(bench.sink.lines[0].holds_buffer);
+  EXPECT_EQ(std::get<Image<std::uint8_t>>(bench.sink.lines[0].pixels).width(), 8);
+}
+
+TEST(CaptureController, ABusyCameraIsAMissedTriggerAndTheBracketGoesOn) {
+  Bench bench;
+  bench.Trigger();
+  bench.refusal = "still exposing";
+  bench.Trigger();
+  bench.refusal.clear();
+  bench.Trigger();
+  bench.controller.OnFrame(FrameFor(bench.commanded[0], 0));
+  bench.controller.OnFrame(FrameFor(bench.commanded[1], 1));
+  ASSERT_EQ(bench.sink.lines.size(), 3U);
+  EXPECT_EQ(bench.record(1).status, FrameStatus::kMissedTrigger);
+  EXPECT_EQ(bench.record(1).detail, "still exposing");
+  EXPECT_EQ(Value(bench.record(1).position), 1);
+  // The third trigger takes the third step although the second was lost.
+  EXPECT_DOUBLE_EQ(bench.record(2).exposure.time.seconds(), 0.016);
+  EXPECT_EQ(bench.sink.free_buffers, 2U);
+}
+
+TEST(CaptureController, AnEmptyBufferPoolIsAMissedTrigger) {
+  Bench bench(1);
+  bench.Trigger();
+  bench.Trigger();
+  EXPECT_EQ(bench.commanded.size(), 1U);
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  ASSERT_EQ(bench.sink.lines.size(), 2U);
+  EXPECT_EQ(bench.record(1).status, FrameStatus::kMissedTrigger);
+  EXPECT_NE(bench.record(1).detail.find("no free frame buffer"), std::string::npos);
+}
+
+TEST(CaptureController, WithoutRoomForALineATriggerIsRefusedAndTakesNoNumber) {
+  Bench bench(4, 1);
+  bench.Trigger();
+  const auto refused = bench.TryTrigger();
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().kind, ErrorKind::kTemporary);
+  EXPECT_EQ(bench.controller.counts().refused, 1U);
+  EXPECT_EQ(Value(bench.controller.next_trigger()), 1U);
+}
+
+TEST(CaptureController, AFrameThatDoesNotComeIsACameraTimeoutAndALateOneIsThrownAway) {
+  Bench bench;
+  bench.Trigger();
+  ASSERT_TRUE(bench.controller.NextDeadline());
+  EXPECT_EQ((*bench.controller.NextDeadline() - bench.clock.Now()).count(), 2'001'000'000);
+  bench.clock.Advance(milliseconds(2001));
+  bench.controller.OnTime();
+  ASSERT_EQ(bench.sink.lines.size(), 1U);
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kCameraTimeout);
+  EXPECT_EQ(bench.sink.free_buffers, 4U);
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  EXPECT_EQ(bench.controller.counts().late_frames, 1U);
+  EXPECT_EQ(bench.sink.lines.size(), 1U);
+}
+
+TEST(CaptureController, AWrongExposureNeverBecomesPixels) {
+  Bench bench;
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.measured_exposure->time = ExposureTime::Seconds(0.002);
+  bench.controller.OnFrame(std::move(frame));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kExposureMismatch);
+  EXPECT_DOUBLE_EQ(bench.record(0).exposure.time.seconds(), 0.002);
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(bench.sink.lines[0].pixels));
+  EXPECT_EQ(bench.sink.free_buffers, 4U);
+}
+
+TEST(CaptureController, AnUnprovenExposureNeverBecomesPixels) {
+  Bench bench;
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.measured_exposure.reset();
+  bench.controller.OnFrame(std::move(frame));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kExposureMismatch);
+  EXPECT_EQ(bench.record(0).proof, ExposureProof::kNone);
+}
+
+TEST(CaptureController, AFrameOfAnotherSizeIsCorrupt) {
+  Bench bench;
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.pixels = Image<std::uint8_t>(8, 3, 3);
+  bench.controller.OnFrame(std::move(frame));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kCorrupt);
+  EXPECT_EQ(bench.record(0).detail, "frame of 8x3 in 8 bits: expected 8x4 in 8 bits");
+}
+
+TEST(CaptureController, ATornFrameKeepsTheCamerasWord) {
+  Bench bench;
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.status = FrameStatus::kCorrupt;
+  frame.detail = "3 packets missing";
+  bench.controller.OnFrame(std::move(frame));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kCorrupt);
+  EXPECT_EQ(bench.record(0).detail, "3 packets missing");
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(bench.sink.lines[0].pixels));
+}
+
+TEST(CaptureController, ALostCameraEndsWhatIsOnItsWay) {
+  Bench bench;
+  bench.Trigger();
+  bench.Trigger();
+  bench.controller.OnCameraLost("unplugged");
+  ASSERT_EQ(bench.sink.lines.size(), 2U);
+  EXPECT_EQ(bench.record(1).detail, "the camera has gone: unplugged");
+  EXPECT_EQ(bench.sink.free_buffers, 4U);
+  EXPECT_EQ(bench.controller.recent_losses().lost, 2);
+}
+
+TEST(CaptureController, EventsTheSourceLostGetLinesOfTheirOwn) {
+  Bench bench;
+  const auto accepted = bench.TryTrigger(2);
+  EXPECT_EQ(Value(accepted->trigger), 2U);
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  ASSERT_EQ(bench.sink.lines.size(), 3U);
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kMissedTrigger);
+  EXPECT_FALSE(bench.record(1).odometer_m);
+  EXPECT_EQ(bench.record(2).status, FrameStatus::kOk);
+}
+
+TEST(CaptureController, AFloodOfLostEventsIsBoundedAndCounted) {
+  Bench bench;
+  bench.Trigger(std::uint64_t{1} << 60);
+  EXPECT_EQ(bench.sink.lines.size(), 256U);
+  EXPECT_EQ(bench.controller.counts().lost_unlisted, (std::uint64_t{1} << 60) - 256);
+}
+
+TEST(CaptureController, GapsInTheCamerasCounterAreCounted) {
+  Bench bench;
+  for (const std::uint64_t counter : {10, 11, 14}) {
+    bench.Trigger();
+    bench.controller.OnFrame(FrameFor(bench.commanded.back(), counter));
+  }
+  EXPECT_EQ(bench.controller.counts().camera_gaps, 2U);
+}
+
+TEST(CaptureController, AfterARestartTheBracketGoesOnInPhase) {
+  Bench bench(4, 1000, 5, 2);
+  const auto accepted = bench.TryTrigger();
+  EXPECT_EQ(Value(accepted->trigger), 5U);
+  EXPECT_EQ(Value(accepted->position), 2);
+  EXPECT_EQ(accepted->step, 2);
+}
+
+// Whatever the camera does, the journal gets one line a trigger, numbered without a gap, and no
+// buffer gets lost.
+RC_GTEST_PROP(CaptureController, EveryTriggerLeavesExactlyOneLineInOrder, ()) {
+  Bench bench(3);
+  const auto actions = *rc::gen::container<std::vector<int>>(rc::gen::inRange(0, 9));
+  std::uint64_t counter = 0;
+  for (const int action : actions) {
+    switch (action) {
+      case 0:
+      case 1:
+      case 2:
+        bench.Trigger();
+        break;
+      case 3:
+        bench.refusal = bench.refusal.empty() ? "busy" : "";
+        break;
+      case 4:
+      case 5:
+        if (!bench.commanded.empty()) {
+          CameraFrame frame =
+              FrameFor(bench.commanded[*rc::gen::inRange<std::size_t>(0, bench.commanded.size())],
+                       counter++);
+          if (action == 5) frame.measured_exposure.reset();
+          bench.controller.OnFrame(std::move(frame));
+        }
+        break;
+      case 6:
+        bench.clock.Advance(milliseconds(*rc::gen::inRange(0, 3000)));
+        bench.controller.OnTime();
+        break;
+      case 7:
+        bench.controller.OnCameraLost("gone");
+        break;
+      default:
+        bench.Trigger(1);
+        break;
+    }
+  }
+  bench.clock.Advance(std::chrono::seconds(10));
+  bench.controller.OnTime();
+  RC_ASSERT(bench.sink.lines.size() == bench.controller.counts().triggers);
+  std::size_t held = 0;
+  for (std::size_t i = 0; i < bench.sink.lines.size(); ++i) {
+    const CaptureLine& line = bench.sink.lines[i];
+    RC_ASSERT(Value(line.record.frame) == i);
+    const bool has_pixels = !std::holds_alternative<std::monostate>(line.pixels);
+    RC_ASSERT(has_pixels == (line.record.status == FrameStatus::kOk));
+    RC_ASSERT(has_pixels == line.holds_buffer);
+    RC_ASSERT(line.record.detail.empty() == has_pixels);
+    if (line.holds_buffer) ++held;
+  }
+  RC_ASSERT(held + bench.sink.free_buffers == 3U);
+}
+
+}  // namespace
+}  // namespace omnihdr

@@ -1,0 +1,71 @@
+#include "core/capture/capture_state.h"
+
+#include <gtest/gtest.h>
+
+#include <vector>
+
+namespace omnihdr {
+namespace {
+
+CaptureConditions Ready() {
+  CaptureConditions c;
+  c.started = true;
+  c.camera_ready = true;
+  c.armed = true;
+  return c;
+}
+
+TEST(CaptureState, TheGravestConditionNamesTheState) {
+  CaptureConditions c = Ready();
+  EXPECT_EQ(EvaluateState(c).state, CaptureState::kArmed);
+  c.frames_lost = "2 of 16 lost";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kDegraded, "2 of 16 lost"}));
+  c.views_stalled = "views: disk full";
+  EXPECT_EQ(EvaluateState(c).reason, "2 of 16 lost; views: disk full");
+  c.armed = false;
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kIdle, "disarmed"}));
+  c.camera_ready = false;
+  c.waiting = "no such device";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kWaitingForCamera, "no such device"}));
+  c.storage = "no space";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kStorageFull, "no space"}));
+  c.fault = "broken";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kFault, "broken"}));
+  c.stopping = "asked to";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kStopping, "asked to"}));
+}
+
+TEST(CaptureState, EveryStateHasAReason) {
+  for (const bool started : {false, true}) {
+    for (const bool camera : {false, true}) {
+      for (const bool armed : {false, true}) {
+        CaptureConditions c;
+        c.started = started;
+        c.camera_ready = camera;
+        c.armed = armed;
+        EXPECT_FALSE(EvaluateState(c).reason.empty());
+      }
+    }
+  }
+}
+
+TEST(CaptureState, AStateIsLeftWhenItsConditionIsGone) {
+  CaptureConditions c = Ready();
+  c.storage = "no space";
+  EXPECT_EQ(EvaluateState(c).state, CaptureState::kStorageFull);
+  c.storage.clear();
+  EXPECT_EQ(EvaluateState(c).state, CaptureState::kArmed);
+}
+
+TEST(CaptureState, TheListenerHearsChangesOnly) {
+  std::vector<CaptureState> heard;
+  CaptureStateMachine machine([&](const StateReport& report) { heard.push_back(report.state); });
+  machine.Update([](CaptureConditions& c) { c = Ready(); });
+  machine.Update([](CaptureConditions& c) { c.armed = true; });
+  machine.Update([](CaptureConditions& c) { c.armed = false; });
+  EXPECT_EQ(heard, (std::vector{CaptureState::kArmed, CaptureState::kIdle}));
+  EXPECT_EQ(machine.report().state, CaptureState::kIdle);
+}
+
+}  // namespace
+}  // namespace omnihdr
