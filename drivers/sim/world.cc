@@ -1,0 +1,259 @@
+#include "drivers/sim/world.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <utility>
+#include <vector>
+
+#include "core/base/parallel_for.h"
+#include "drivers/sim/geometry.h"
+#include "drivers/sim/lighting.h"
+#include "drivers/sim/material.h"
+#include "drivers/sim/scene.h"
+
+namespace omnihdr::sim {
+namespace {
+
+constexpr std::array<std::pair<SceneKind, std::string_view>, 4> kSceneNames{{
+    {SceneKind::kHall, "hall"},
+    {SceneKind::kYard, "yard"},
+    {SceneKind::kTunnel, "tunnel"},
+    {SceneKind::kStreet, "street"},
+}};
+
+Scene Build(SceneKind kind, std::uint64_t seed) {
+  switch (kind) {
+    case SceneKind::kYard:
+      return BuildYard(seed);
+    case SceneKind::kTunnel:
+      return BuildTunnel(seed);
+    case SceneKind::kStreet:
+      return BuildStreet(seed);
+    case SceneKind::kHall:
+      break;
+  }
+  return BuildHall(seed);
+}
+
+Vec3 ToVec3(const Eigen::Vector3d& v) {
+  return {static_cast<float>(v.x()), static_cast<float>(v.y()), static_cast<float>(v.z())};
+}
+
+// Surface coordinates in metres for the texture.
+SurfacePoint Surface(const Primitive& p, const Hit& hit) {
+  SurfacePoint at;
+  const Vec3 l = hit.local;
+  at.local = l;
+  at.seed = static_cast<std::uint32_t>(hit.primitive) * 2654435761U + 12345U;
+  switch (p.shape) {
+    case Shape::kQuad:
+      at.u = l.x + p.half.x;
+      at.v = l.y + p.half.y;
+      return at;
+    case Shape::kSphere:
+      at.solid = true;
+      return at;
+    case Shape::kCylinder:
+      if (hit.face == 0) {
+        // Bark and stone go round without a seam; streaks along the axis need (u, v).
+        at.u = std::atan2(l.y, l.x) * p.half.x;
+        at.v = l.z + p.half.z;
+      } else {
+        at.u = l.x;
+        at.v = l.y;
+      }
+      return at;
+    case Shape::kBox:
+      break;
+  }
+  at.seed += static_cast<std::uint32_t>(hit.face) * 40503U;
+  switch (hit.face / 2) {
+    case 0:
+      at.u = l.y + p.half.y;
+      at.v = l.z + p.half.z;
+      break;
+    case 1:
+      at.u = l.x + p.half.x;
+      at.v = l.z + p.half.z;
+      break;
+    default:
+      at.u = l.x + p.half.x;
+      at.v = l.y + p.half.y;
+      break;
+  }
+  return at;
+}
+
+}  // namespace
+
+std::string_view ToString(SceneKind kind) {
+  for (const auto& [value, name] : kSceneNames) {
+    if (value == kind) return name;
+  }
+  return "hall";
+}
+
+std::optional<SceneKind> SceneKindFromString(std::string_view name) {
+  for (const auto& [value, known] : kSceneNames) {
+    if (known == name) return value;
+  }
+  return std::nullopt;
+}
+
+Status MotionOptions::Validate() const {
+  if (!(std::abs(yaw_deg_per_m) <= 720.0)) {
+    return Fail(ErrorKind::kConfig, "yaw_deg_per_m: {}: expected -720 to 720", yaw_deg_per_m);
+  }
+  if (!(sway_deg >= 0.0 && sway_deg <= 10.0)) {
+    return Fail(ErrorKind::kConfig, "sway_deg: {}: expected 0 to 10", sway_deg);
+  }
+  return {};
+}
+
+struct World::Impl {
+  Scene scene;
+  Geometry geometry;
+  BakedLight light;
+  std::array<double, 8> sway_phase{};
+
+  // Radiance along a ray; `pixel` is the angle between neighbouring samples, radians.
+  Vec3 Trace(Vec3 origin, Vec3 direction, float pixel, const Hit& hit) const {
+    if (!hit.valid()) return scene.sky.Radiance(direction);
+    static_cast<void>(origin);
+    const Primitive& p = geometry.primitives()[static_cast<std::size_t>(hit.primitive)];
+    const Material& material = scene.materials[static_cast<std::size_t>(p.material)];
+    SurfacePoint at = Surface(p, hit);
+    const float cosine = std::abs(Dot(p.ToLocal(direction), LocalNormal(p, hit)));
+    // Between the pixel's size across and along the line of sight, so that floors keep some detail.
+    at.footprint = hit.t * pixel / std::sqrt(std::max(0.05F, cosine));
+    const Vec3 albedo = Albedo(material, at);
+    if (p.emission.x > 0.0F) {
+      return material.pattern == Pattern::kLitRoom || material.pattern == Pattern::kPicture
+                 ? p.emission * albedo
+                 : p.emission;
+    }
+    return albedo * light.Irradiance(geometry, hit) * (1.0F / std::numbers::pi_v<float>);
+  }
+};
+
+World::World(SceneKind scene, std::uint64_t seed)
+    : scene_(scene), seed_(seed), impl_(std::make_unique<Impl>()) {
+  impl_->scene = Build(scene, seed);
+  impl_->geometry = Geometry(std::move(impl_->scene.primitives));
+  impl_->light = BakedLight(impl_->scene, impl_->geometry);
+  Random random(seed * 131 + 17);
+  for (double& phase : impl_->sway_phase) phase = 2 * std::numbers::pi * random.Unit();
+}
+
+World::~World() = default;
+
+std::shared_ptr<const World> World::Create(SceneKind scene, std::uint64_t seed) {
+  return std::shared_ptr<const World>(new World(scene, seed));
+}
+
+RenderedView World::Render(const Pose& world_from_camera, const Projection& projection,
+                           int samples) const {
+  const int width = projection.width();
+  const int height = projection.height();
+  const int side = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(samples))), 1, 8);
+  RenderedView view{Image<float>(width, height, 3), Image<float>(width, height, 1)};
+  const Eigen::Matrix3d rotation = world_from_camera.rotation.toRotationMatrix();
+  const Vec3 origin = ToVec3(world_from_camera.translation);
+  const float inverse_samples = 1.0F / static_cast<float>(side * side);
+  const Impl& impl = *impl_;
+
+  // A ray is separable in both projections: the sines and cosines of columns, once.
+  const int fine_width = width * side;
+  std::vector<std::pair<float, float>> column_direction(static_cast<std::size_t>(fine_width));
+  std::vector<std::pair<float, float>> centre_direction(static_cast<std::size_t>(width));
+  const auto direction_of_column = [&](double x) {
+    const double theta = std::numbers::pi - 2 * std::numbers::pi * x / width;
+    return std::pair{static_cast<float>(std::cos(theta)), static_cast<float>(std::sin(theta))};
+  };
+  for (int i = 0; i < fine_width; ++i) {
+    column_direction[static_cast<std::size_t>(i)] = direction_of_column((i + 0.5) / side);
+  }
+  for (int i = 0; i < width; ++i) {
+    centre_direction[static_cast<std::size_t>(i)] = direction_of_column(i + 0.5);
+  }
+  const Vec3 axis_x = ToVec3(rotation.col(0));
+  const Vec3 axis_y = ToVec3(rotation.col(1));
+  const Vec3 axis_z = ToVec3(rotation.col(2));
+  // Radius in the horizontal plane and height of the unit ray of a row.
+  const auto row_of = [&](double y) {
+    const Eigen::Vector3d ray = projection.RayFromPixel(0.5 * width, y);
+    return std::pair{static_cast<float>(std::hypot(ray.x(), ray.y())), static_cast<float>(ray.z())};
+  };
+  const auto towards = [&](std::pair<float, float> row, std::pair<float, float> column) {
+    return axis_x * (row.first * column.first) + axis_y * (row.first * column.second) +
+           axis_z * row.second;
+  };
+
+  ParallelFor(height, 4, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      const auto centre_row = row_of(y + 0.5);
+      std::array<std::pair<float, float>, 8> fine_rows{};
+      for (int i = 0; i < side; ++i) {
+        fine_rows[static_cast<std::size_t>(i)] = row_of(y + (i + 0.5) / side);
+      }
+      // Angle a sample stands for: the geometric mean of the pixel's sides.
+      const float pixel =
+          static_cast<float>(std::sqrt(std::max(1e-12, projection.PixelSolidAngle(y)))) /
+          static_cast<float>(side);
+      float* radiance = view.radiance.row(y);
+      float* distance = view.distance.row(y);
+      for (int x = 0; x < width; ++x) {
+        const Vec3 centre = towards(centre_row, centre_direction[static_cast<std::size_t>(x)]);
+        const Hit centre_hit = impl.geometry.Intersect(origin, centre);
+        distance[x] =
+            centre_hit.valid() ? centre_hit.t : std::numeric_limits<float>::infinity();
+        Vec3 sum;
+        for (int sy = 0; sy < side; ++sy) {
+          for (int sx = 0; sx < side; ++sx) {
+            // An odd grid has a sample in the centre, traced already.
+            const Vec3 direction =
+                side == 1 ? centre
+                          : towards(fine_rows[static_cast<std::size_t>(sy)],
+                                    column_direction[static_cast<std::size_t>(x * side + sx)]);
+            const Hit hit = side == 1 ? centre_hit : impl.geometry.Intersect(origin, direction);
+            sum += impl.Trace(origin, direction, pixel, hit);
+          }
+        }
+        sum = sum * inverse_samples;
+        radiance[3 * x] = sum.x;
+        radiance[3 * x + 1] = sum.y;
+        radiance[3 * x + 2] = sum.z;
+      }
+    }
+  });
+  return view;
+}
+
+Pose World::PoseAt(double distance_m, const MotionOptions& motion) const {
+  const Path::Point at = impl_->scene.path.At(distance_m);
+  const auto& phase = impl_->sway_phase;
+  const auto wave = [&](std::size_t index, double length) {
+    return std::sin(2 * std::numbers::pi * distance_m / length + phase[index]);
+  };
+  const double sway = motion.sway_deg * std::numbers::pi / 180.0;
+  const double pitch = sway * (0.6 * wave(0, 5.3) + 0.4 * wave(1, 2.1));
+  const double roll = sway * (0.6 * wave(2, 6.7) + 0.4 * wave(3, 2.9));
+  const double yaw = at.heading + motion.yaw_deg_per_m * distance_m * std::numbers::pi / 180.0;
+  Pose pose;
+  pose.rotation = (Eigen::AngleAxisd(yaw, Eigen::Vector3d::UnitZ()) *
+                   Eigen::AngleAxisd(pitch, Eigen::Vector3d::UnitY()) *
+                   Eigen::AngleAxisd(roll, Eigen::Vector3d::UnitX()))
+                      .normalized();
+  pose.translation = {at.x, at.y,
+                      impl_->scene.camera_height + 0.015 * wave(4, 3.7) + 0.01 * wave(5, 1.9)};
+  return pose;
+}
+
+double World::Clearance(const Eigen::Vector3d& point_in_world) const {
+  return impl_->geometry.Clearance(ToVec3(point_in_world));
+}
+
+}  // namespace omnihdr::sim
