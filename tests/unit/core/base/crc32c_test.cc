@@ -26,18 +26,19 @@ TEST(Crc32c, MatchesThePublishedVectors) {
   EXPECT_EQ(CrcOf(""), 0U);
 }
 
-RC_GTEST_PROP(Crc32c, APartitionOfTheBytesGivesTheSameSum, (const std::vector<std::uint8_t>& bytes)) {
+RC_GTEST_PROP(Crc32c, APartitionOfTheBytesGivesTheSameSum,
+              (const std::vector<std::uint8_t>& bytes)) {
   const auto all = std::as_bytes(std::span(bytes));
-  const auto cut = static_cast<std::size_t>(
-      *rc::gen::inRange<int>(0, static_cast<int>(bytes.size()) + 1));
+  const auto cut =
+      static_cast<std::size_t>(*rc::gen::inRange<int>(0, static_cast<int>(bytes.size()) + 1));
   RC_ASSERT(Crc32c(all.subspan(cut), Crc32c(all.first(cut))) == Crc32c(all));
 }
 
 RC_GTEST_PROP(Crc32c, AFlippedBitChangesTheSum, ()) {
   auto bytes = *rc::gen::nonEmpty<std::vector<std::uint8_t>>();
   const std::uint32_t before = Crc32c(std::as_bytes(std::span(bytes)));
-  const auto at = static_cast<std::size_t>(
-      *rc::gen::inRange<int>(0, static_cast<int>(bytes.size())));
+  const auto at =
+      static_cast<std::size_t>(*rc::gen::inRange<int>(0, static_cast<int>(bytes.size())));
   bytes[at] = static_cast<std::uint8_t>(bytes[at] ^ (1U << *rc::gen::inRange(0, 8)));
   RC_ASSERT(Crc32c(std::as_bytes(std::span(bytes))) != before);
 }

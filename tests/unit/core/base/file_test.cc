@@ -36,7 +36,8 @@ TEST_F(File, WhatIsWrittenIsReadBack) {
 TEST_F(File, NoTemporaryFileStaysBehind) {
   ASSERT_TRUE(WriteFileAtomic(directory_ / "a.txt", "x"));
   int entries = 0;
-  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(directory_)) ++entries;
+  for ([[maybe_unused]] const auto& entry : std::filesystem::directory_iterator(directory_))
+    ++entries;
   EXPECT_EQ(entries, 1);
 }
 

@@ -25,16 +25,16 @@ TEST(Stage, RunsUntilItIsAskedToStop) {
 }
 
 TEST(Stage, TellsHowItEnded) {
-  Stage stage("broken", [](std::stop_token, Stage&) -> Status {
-    return Fail(ErrorKind::kIo, "no more");
-  });
+  Stage stage("broken",
+              [](std::stop_token, Stage&) -> Status { return Fail(ErrorKind::kIo, "no more"); });
   const Status outcome = stage.Join();
   ASSERT_FALSE(outcome);
   EXPECT_EQ(outcome.error().message, "no more");
 }
 
 TEST(Stage, AnExceptionEndsTheStageWithAnErrorAndGoesNoFurther) {
-  Stage stage("thrower", [](std::stop_token, Stage&) -> Status { throw std::runtime_error("oops"); });
+  Stage stage("thrower",
+              [](std::stop_token, Stage&) -> Status { throw std::runtime_error("oops"); });
   const Status outcome = stage.Join();
   ASSERT_FALSE(outcome);
   EXPECT_EQ(outcome.error().message, "stage thrower: oops");

@@ -12,11 +12,17 @@ namespace omnihdr {
 namespace {
 
 template <typename A, typename B>
-concept Subtracts = requires(A a, B b) { a - b; };
+concept Subtracts = requires(A a, B b) {
+  a - b;
+};
 template <typename A, typename B>
-concept Compares = requires(A a, B b) { a < b; };
+concept Compares = requires(A a, B b) {
+  a < b;
+};
 template <typename A, typename B>
-concept Equals = requires(A a, B b) { a == b; };
+concept Equals = requires(A a, B b) {
+  a == b;
+};
 
 // Clocks do not mix: neither subtraction nor comparison nor conversion compiles.
 static_assert(Subtracts<HostTime, HostTime>);
