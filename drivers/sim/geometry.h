@@ -7,8 +7,8 @@
 
 namespace omnihdr::sim {
 
-// Three floats: a point or direction in metres in the world frame, or linear RGB. The renderer's inner
-// loops use this instead of Eigen for its plain layout.
+// Three floats: a point or direction in metres in the world frame, or linear RGB. The renderer's
+// inner loops use this instead of Eigen for its plain layout.
 struct Vec3 {
   float x = 0.0F;
   float y = 0.0F;
@@ -51,7 +51,7 @@ class Random {
 };
 
 enum class Shape : std::uint8_t {
-  kQuad,      // seen from its +Z side only
+  kQuad,  // seen from its +Z side only
   kBox,
   kSphere,    // radius half.x
   kCylinder,  // along local Z, radius half.x, height 2·half.z, with caps
@@ -64,9 +64,9 @@ struct Primitive {
   Vec3 axis_x{1, 0, 0};
   Vec3 axis_y{0, 1, 0};
   Vec3 axis_z{0, 0, 1};
-  Vec3 half;          // half extents along the local axes
-  int material = 0;   // index into the scene's materials
-  Vec3 emission;      // radiance of the surface itself
+  Vec3 half;            // half extents along the local axes
+  int material = 0;     // index into the scene's materials
+  Vec3 emission;        // radiance of the surface itself
   bool indoor = false;  // lit through the scene's openings instead of by the open sky
   float texel = 0.15F;  // wanted spacing of baked light, metres
 

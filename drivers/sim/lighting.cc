@@ -11,12 +11,12 @@ namespace omnihdr::sim {
 namespace {
 
 constexpr float kPi = std::numbers::pi_v<float>;
-constexpr float kLift = 2e-3F;     // metres off the surface, so that a ray does not meet its own start
+constexpr float kLift = 2e-3F;  // metres off the surface, so that a ray does not meet its own start
 constexpr int kSunSamples = 3;
 constexpr int kLightSamples = 2;
 constexpr int kPortalSamples = 6;
 constexpr int kGatherRays = 32;
-constexpr int kMaxSide = 288;      // texels along one face
+constexpr int kMaxSide = 288;  // texels along one face
 
 int Faces(Shape shape) {
   switch (shape) {
@@ -145,8 +145,8 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
       const bool wraps = p.shape == Shape::kSphere || (p.shape == Shape::kCylinder && face == 0);
       Grid grid;
       grid.wraps = wraps;
-      grid.columns = std::clamp(static_cast<int>(std::ceil(size.width / p.texel)), wraps ? 8 : 1,
-                                kMaxSide);
+      grid.columns =
+          std::clamp(static_cast<int>(std::ceil(size.width / p.texel)), wraps ? 8 : 1, kMaxSide);
       grid.rows = std::clamp(static_cast<int>(std::ceil(size.height / p.texel)),
                              p.shape == Shape::kSphere ? 5 : 1, kMaxSide);
       grid.offset = total;
@@ -166,15 +166,15 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
         const Grid& grid = grids_[first_grid_[static_cast<std::size_t>(row.primitive)] +
                                   static_cast<std::size_t>(row.face)];
         for (int column = 0; column < grid.columns; ++column) {
-          const std::size_t at = grid.offset +
-                                 static_cast<std::size_t>(row.row) *
-                                     static_cast<std::size_t>(grid.columns) +
-                                 static_cast<std::size_t>(column);
+          const std::size_t at =
+              grid.offset +
+              static_cast<std::size_t>(row.row) * static_cast<std::size_t>(grid.columns) +
+              static_cast<std::size_t>(column);
           Random random(0x51ed2701ULL + at * 0x2545f4914f6cdd1dULL);
-          const Hit hit = PointOnFace(
-              p, row.primitive, row.face,
-              (static_cast<float>(column) + 0.5F) / static_cast<float>(grid.columns),
-              (static_cast<float>(row.row) + 0.5F) / static_cast<float>(grid.rows));
+          const Hit hit =
+              PointOnFace(p, row.primitive, row.face,
+                          (static_cast<float>(column) + 0.5F) / static_cast<float>(grid.columns),
+                          (static_cast<float>(row.row) + 0.5F) / static_cast<float>(grid.rows));
           const Vec3 normal = p.ToWorld(LocalNormal(p, hit));
           const Vec3 point = p.centre + p.ToWorld(hit.local) + normal * kLift;
           out[at] = light_at(p, point, normal, random);
@@ -193,9 +193,9 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
         Vec3 sum;
         if (has_sun) {
           for (int i = 0; i < kSunSamples; ++i) {
-            const Vec3 towards = Normalised(scene.sky.sun_direction +
-                                            sun_u * random.Range(-0.012F, 0.012F) +
-                                            sun_v * random.Range(-0.012F, 0.012F));
+            const Vec3 towards =
+                Normalised(scene.sky.sun_direction + sun_u * random.Range(-0.012F, 0.012F) +
+                           sun_v * random.Range(-0.012F, 0.012F));
             const float cosine = Dot(towards, normal);
             if (cosine > 0.0F && !geometry.Occluded(point, towards, kFar)) {
               sum += scene.sky.sun_irradiance * (cosine / kSunSamples);
@@ -256,8 +256,8 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
           const float r2 = (static_cast<float>(i) + random.Unit()) / kGatherRays;
           const float angle = 2 * kPi * (turn + 0.618034F * static_cast<float>(i));
           const float r = std::sqrt(r2);
-          const Vec3 towards = u * (r * std::cos(angle)) + v * (r * std::sin(angle)) +
-                               normal * std::sqrt(1.0F - r2);
+          const Vec3 towards =
+              u * (r * std::cos(angle)) + v * (r * std::sin(angle)) + normal * std::sqrt(1.0F - r2);
           const Hit hit = geometry.Intersect(point, towards);
           if (!hit.valid()) {
             // Indoors the openings were sampled as portals already.
@@ -278,8 +278,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
   irradiance_.resize(total);
   for (std::size_t i = 0; i < primitives.size(); ++i) {
     const float later = primitives[i].indoor ? 1.5F : 1.1F;
-    const std::size_t end =
-        i + 1 < primitives.size() ? grids_[first_grid_[i + 1]].offset : total;
+    const std::size_t end = i + 1 < primitives.size() ? grids_[first_grid_[i + 1]].offset : total;
     for (std::size_t at = grids_[first_grid_[i]].offset; at < end; ++at) {
       irradiance_[at] = direct[at] + indirect[at] * later;
     }
@@ -292,8 +291,8 @@ Vec3 BakedLight::Lookup(const std::vector<Vec3>& texels, const Geometry& geometr
   const auto [s, t] =
       FaceCoordinates(geometry.primitives()[static_cast<std::size_t>(hit.primitive)], hit);
   const float x = s * static_cast<float>(grid.columns) - 0.5F;
-  const float y = std::clamp(t * static_cast<float>(grid.rows) - 0.5F, 0.0F,
-                             static_cast<float>(grid.rows - 1));
+  const float y =
+      std::clamp(t * static_cast<float>(grid.rows) - 0.5F, 0.0F, static_cast<float>(grid.rows - 1));
   int x0 = static_cast<int>(std::floor(x));
   const float fx = grid.wraps ? x - static_cast<float>(x0)
                               : std::clamp(x, 0.0F, static_cast<float>(grid.columns - 1)) -

@@ -8,9 +8,9 @@
 
 namespace omnihdr::sim {
 
-// Light that falls on every surface of a scene, computed once on a grid per face and interpolated: sun and
-// lamps with shadows, the sky (through openings indoors), and one bounce between surfaces with an estimate
-// of the later ones. Independent of the viewer. Immutable; any thread.
+// Light that falls on every surface of a scene, computed once on a grid per face and interpolated:
+// sun and lamps with shadows, the sky (through openings indoors), and one bounce between surfaces
+// with an estimate of the later ones. Independent of the viewer. Immutable; any thread.
 class BakedLight {
  public:
   BakedLight() = default;

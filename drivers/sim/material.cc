@@ -53,7 +53,8 @@ float Fbm(const SurfacePoint& at, float period, int octaves, float gain, std::ui
 }
 
 // Noise stretched along v.
-float Streaks(const SurfacePoint& at, float period, float stretch, int octaves, std::uint32_t salt) {
+float Streaks(const SurfacePoint& at, float period, float stretch, int octaves,
+              std::uint32_t salt) {
   SurfacePoint squeezed = at;
   squeezed.v = at.v / stretch;
   return Fbm(squeezed, period, octaves, 0.65F, salt);
@@ -71,8 +72,9 @@ Cell BrickCell(const SurfacePoint& at, float width, float height, float joint, b
   cell.row = Floor(y);
   const float x = at.u / width + (running_bond && (cell.row & 1) != 0 ? 0.5F : 0.0F);
   cell.column = Floor(x);
-  const float dx = std::min(x - static_cast<float>(cell.column),
-                            static_cast<float>(cell.column) + 1.0F - x) * width;
+  const float dx =
+      std::min(x - static_cast<float>(cell.column), static_cast<float>(cell.column) + 1.0F - x) *
+      width;
   const float dy =
       std::min(y - static_cast<float>(cell.row), static_cast<float>(cell.row) + 1.0F - y) * height;
   const float blur = std::max(0.25F * joint, 0.5F * at.footprint);
@@ -129,8 +131,8 @@ Vec3 Albedo(const Material& m, const SurfacePoint& at) {
       c = Shade(c, 1.0F + 0.02F * k * Fbm(at, 1.1F, 2, 0.5F, 1));
       break;
     case Pattern::kPlaster:
-      c = Shade(c, 1.0F + k * (0.05F * Fbm(at, 0.9F, 3, 0.6F, 1) +
-                               0.05F * Fbm(at, 0.05F, 3, 0.7F, 2)));
+      c = Shade(
+          c, 1.0F + k * (0.05F * Fbm(at, 0.9F, 3, 0.6F, 1) + 0.05F * Fbm(at, 0.05F, 3, 0.7F, 2)));
       break;
     case Pattern::kBrick: {
       const Cell cell = BrickCell(at, m.size, m.size * 0.32F, m.size * 0.028F, true);
@@ -210,8 +212,8 @@ Vec3 Albedo(const Material& m, const SurfacePoint& at) {
       const std::int32_t row = Floor(shelf);
       // Backs of unequal width: the column's number after a smooth warp.
       const float warped =
-          at.u / m.size + 0.45F * ValueNoise(at.u / (2.1F * m.size), static_cast<float>(row) * 9.3F,
-                                             at.seed + 51U);
+          at.u / m.size +
+          0.45F * ValueNoise(at.u / (2.1F * m.size), static_cast<float>(row) * 9.3F, at.seed + 51U);
       const std::int32_t column = Floor(warped);
       const Vec3 back{HashUnit(column, row, at.seed + 52U), HashUnit(column, row, at.seed + 53U),
                       HashUnit(column, row, at.seed + 54U)};
@@ -221,8 +223,9 @@ Vec3 Albedo(const Material& m, const SurfacePoint& at) {
       const float title = SmoothStep(0.02F, 0.0F, std::abs(in_shelf - 0.45F) - 0.12F);
       book = Lerp(book, Vec3{0.75F, 0.68F, 0.45F},
                   0.5F * title * HashUnit(column, row, at.seed + 56U));
-      const float gap = SmoothStep(0.0F, 0.12F, std::min(warped - static_cast<float>(column),
-                                                         static_cast<float>(column) + 1 - warped));
+      const float gap = SmoothStep(
+          0.0F, 0.12F,
+          std::min(warped - static_cast<float>(column), static_cast<float>(column) + 1 - warped));
       book = Shade(book, 0.35F + 0.65F * gap);
       const float above = SmoothStep(height - 0.02F, height + 0.02F, in_shelf);
       c = Lerp(book, m.second * 0.25F, above);

@@ -28,15 +28,15 @@ enum class Pattern : std::uint8_t {
 
 struct Material {
   Pattern pattern = Pattern::kPlain;
-  Vec3 colour{0.5F, 0.5F, 0.5F};   // albedo, linear RGB
+  Vec3 colour{0.5F, 0.5F, 0.5F};  // albedo, linear RGB
   Vec3 second{0.3F, 0.3F, 0.3F};
   float size = 0.2F;
-  float contrast = 1.0F;           // scales the noise
+  float contrast = 1.0F;  // scales the noise
 };
 
 // A point of a surface as textures see it.
 struct SurfacePoint {
-  float u = 0.0F;          // metres along the face
+  float u = 0.0F;  // metres along the face
   float v = 0.0F;
   Vec3 local;              // metres in the primitive's frame, for curved surfaces
   bool solid = false;      // use `local` instead of (u, v)

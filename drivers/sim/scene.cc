@@ -58,8 +58,8 @@ class Builder {
   Primitive& Panel(Vec3 centre, Vec3 normal, float width, float height, int material) {
     Primitive& p = Add(Shape::kQuad, centre, {width * 0.5F, height * 0.5F, 0.0F}, material);
     p.axis_z = normal;
-    p.axis_x = std::abs(normal.z) > 0.99F ? Vec3{1, 0, 0}
-                                          : Normalised(Cross(Vec3{0, 0, 1}, normal));
+    p.axis_x =
+        std::abs(normal.z) > 0.99F ? Vec3{1, 0, 0} : Normalised(Cross(Vec3{0, 0, 1}, normal));
     p.axis_y = Cross(p.axis_z, p.axis_x);
     return p;
   }
@@ -83,7 +83,8 @@ class Builder {
     for (int i = 0; i < blobs; ++i) {
       const float angle = random.Range(0.0F, 2 * kPi);
       const float up = random.Range(-0.75F, 0.9F);
-      const float out = crown * std::sqrt(std::max(0.0F, 1.0F - up * up)) * random.Range(0.2F, 0.8F);
+      const float out =
+          crown * std::sqrt(std::max(0.0F, 1.0F - up * up)) * random.Range(0.2F, 0.8F);
       const Vec3 centre{x + out * std::cos(angle), y + out * std::sin(angle),
                         height - crown * (0.9F - 0.9F * up)};
       Ball(centre, crown * random.Range(0.24F, 0.46F), random.Index(2) == 0 ? leaves : more_leaves)
@@ -101,7 +102,8 @@ class Builder {
   float texel_ = 0.15F;
 };
 
-// A smooth closed oval round the origin: its curvature never jumps. `squash` in [0, 1): 0 is a circle.
+// A smooth closed oval round the origin: its curvature never jumps. `squash` in [0, 1): 0 is a
+// circle.
 Path Oval(double length, double squash) {
   const auto curvature = [=](double s) {
     return 2 * std::numbers::pi / length *
@@ -168,7 +170,8 @@ void House(Builder& b, float x, float y, Vec3 size, float yaw, int wall, int roo
     const float ly = (side == 0 ? -1.0F : 1.0F) * (size.y * 0.5F + 0.02F);
     for (int floor = 0; floor < floors; ++floor) {
       for (int column = 0; column < columns; ++column) {
-        const float lx = size.x * ((static_cast<float>(column) + 0.5F) / static_cast<float>(columns) - 0.5F);
+        const float lx =
+            size.x * ((static_cast<float>(column) + 0.5F) / static_cast<float>(columns) - 0.5F);
         const float z = 1.7F + 2.7F * static_cast<float>(floor);
         b.Add(Shape::kBox, at(lx, ly, z), {0.55F, 0.03F, 0.72F}, frame, yaw);
         b.Add(Shape::kBox, at(lx, ly * 1.004F, z), {0.46F, 0.03F, 0.62F}, glass, yaw);
@@ -180,8 +183,8 @@ void House(Builder& b, float x, float y, Vec3 size, float yaw, int wall, int roo
 // Multiplies every source of light: puts a scene's tones where exposures of 1 to 16 ms see them.
 void ScaleLight(Scene& scene, float factor) {
   Sky& sky = scene.sky;
-  for (Vec3* light : {&sky.zenith, &sky.horizon, &sky.below, &sky.cloud, &sky.sun_irradiance,
-                      &sky.glow}) {
+  for (Vec3* light :
+       {&sky.zenith, &sky.horizon, &sky.below, &sky.cloud, &sky.sun_irradiance, &sky.glow}) {
     *light = *light * factor;
   }
   for (Primitive& p : scene.primitives) p.emission = p.emission * factor;
@@ -261,7 +264,7 @@ Vec3 Sky::Radiance(Vec3 d, bool with_disc) const {
   const float silver = 1.0F + 1.2F * std::pow(std::max(0.0F, towards_sun), 6.0F);
   radiance = Lerp(radiance, cloud * silver, 0.85F * density);
   const float angle = std::acos(std::clamp(towards_sun, -1.0F, 1.0F));
-  const float wide = 0.02F * std::exp(-angle / 0.35F);
+  const float wide = 0.006F * std::exp(-angle / 0.35F);
   const float close = 1.0F / (1.0F + 900.0F * angle * angle);
   radiance += glow * (wide + close * close);
   if (with_disc && angle < disc_radius) {
@@ -303,7 +306,8 @@ Scene BuildHall(std::uint64_t seed) {
   const int rug2 = b.Mat(Pattern::kCarpet, {0.07F, 0.11F, 0.25F}, {0.48F, 0.44F, 0.36F}, 0.22F);
   const int sofa = b.Mat(Pattern::kCarpet, {0.13F, 0.2F, 0.17F}, {0.2F, 0.27F, 0.22F}, 0.06F, 0.7F);
   const int curtain = b.Mat(Pattern::kStripes, {0.5F, 0.13F, 0.1F}, {0.3F, 0.06F, 0.05F}, 0.14F);
-  const int soot = b.Mat(Pattern::kBrick, {0.007F, 0.0065F, 0.006F}, {0.005F, 0.005F, 0.005F}, 0.24F);
+  const int soot =
+      b.Mat(Pattern::kBrick, {0.007F, 0.0065F, 0.006F}, {0.005F, 0.005F, 0.005F}, 0.24F);
   const int stone = b.Mat(Pattern::kConcrete, {0.48F, 0.45F, 0.4F}, {0.3F, 0.3F, 0.3F}, 0.6F);
   const int metal = b.Mat(Pattern::kPlaster, {0.22F, 0.22F, 0.23F});
   const int white = b.Mat(Pattern::kPlaster, {0.72F, 0.71F, 0.68F});
@@ -373,8 +377,7 @@ Scene BuildHall(std::uint64_t seed) {
                              {0, -1, 0}});
   }
   // The far side: plain wall with a deep dark alcove and a dim door recess.
-  wall_y(-ly - thick, -ly,
-         {{-7.9F, -5.9F, 0.0F, 2.3F}, {4.6F, 5.8F, 0.0F, 2.2F}}, plaster_grain);
+  wall_y(-ly - thick, -ly, {{-7.9F, -5.9F, 0.0F, 2.3F}, {4.6F, 5.8F, 0.0F, 2.2F}}, plaster_grain);
   // The alcove: a sooty tunnel of a room.
   b.Block({-8.2F, -ly - 3.4F, -0.05F}, {-5.6F, -ly - 3.2F, 2.6F}, soot);
   b.Block({-8.1F, -ly - 3.4F, -0.05F}, {-7.9F, -ly - thick, 2.6F}, soot);
@@ -500,7 +503,8 @@ Scene BuildHall(std::uint64_t seed) {
         for (int leaf = 0; leaf < 6; ++leaf) {
           b.Ball({x + b.random.Range(-0.25F, 0.25F), y + b.random.Range(-0.25F, 0.25F),
                   b.random.Range(0.6F, 1.3F)},
-                 b.random.Range(0.12F, 0.26F), leaf % 2 == 0 ? outdoor.leaves : outdoor.dark_leaves);
+                 b.random.Range(0.12F, 0.26F),
+                 leaf % 2 == 0 ? outdoor.leaves : outdoor.dark_leaves);
         }
         break;
       case 2:
@@ -539,9 +543,11 @@ Scene BuildYard(std::uint64_t seed) {
   const int glass = b.Mat(Pattern::kPlain, {0.035F, 0.045F, 0.055F});
   const int frame = b.Mat(Pattern::kPlaster, {0.7F, 0.7F, 0.67F});
   const int planks = b.Mat(Pattern::kPlanks, {0.25F, 0.17F, 0.1F}, {0.06F, 0.04F, 0.03F}, 0.14F);
-  const int gravel = b.Mat(Pattern::kAsphalt, {0.36F, 0.33F, 0.28F}, {0.2F, 0.2F, 0.2F}, 0.2F, 1.4F);
+  const int gravel =
+      b.Mat(Pattern::kAsphalt, {0.36F, 0.33F, 0.28F}, {0.2F, 0.2F, 0.2F}, 0.2F, 0.9F);
   const int stone = b.Mat(Pattern::kConcrete, {0.4F, 0.39F, 0.36F}, {0.3F, 0.3F, 0.3F}, 0.5F);
-  const int black = b.Mat(Pattern::kPlanks, {0.011F, 0.010F, 0.010F}, {0.005F, 0.005F, 0.005F}, 0.2F);
+  const int black =
+      b.Mat(Pattern::kPlanks, {0.011F, 0.010F, 0.010F}, {0.005F, 0.005F, 0.005F}, 0.2F);
   const int flowers = b.Mat(Pattern::kPicture, {0.6F, 0.1F, 0.2F}, {0.7F, 0.6F, 0.1F}, 0.06F);
 
   b.Ground(0.0F, 70.0F, 70.0F, outdoor.grass, 0.45F);
@@ -549,8 +555,8 @@ Scene BuildYard(std::uint64_t seed) {
   for (int i = 0; i < 46; ++i) {
     const Path::Point at = scene.path.At(i);
     b.SetTexel(0.3F);
-    b.Standing(static_cast<float>(at.x), static_cast<float>(at.y),
-               0.0F, {1.25F, 1.5F, 0.010F + 0.001F * static_cast<float>(i % 2)}, gravel,
+    b.Standing(static_cast<float>(at.x), static_cast<float>(at.y), 0.0F,
+               {1.25F, 1.5F, 0.010F + 0.001F * static_cast<float>(i % 2)}, gravel,
                static_cast<float>(at.heading));
   }
   b.SetTexel(0.15F);
@@ -641,7 +647,8 @@ Scene BuildTunnel(std::uint64_t seed) {
   const int rock = b.Mat(Pattern::kConcrete, {0.22F, 0.19F, 0.16F}, {0.1F, 0.1F, 0.1F}, 3.1F, 2.0F);
   const int paint = b.Mat(Pattern::kPlaster, {0.7F, 0.7F, 0.66F});
   const int pipe = b.Mat(Pattern::kBark, {0.3F, 0.15F, 0.1F});
-  const int black = b.Mat(Pattern::kConcrete, {0.008F, 0.008F, 0.008F}, {0.005F, 0.005F, 0.005F}, 0.7F);
+  const int black =
+      b.Mat(Pattern::kConcrete, {0.008F, 0.008F, 0.008F}, {0.005F, 0.005F, 0.005F}, 0.7F);
   const int sign = b.Mat(Pattern::kPicture, {0.6F, 0.5F, 0.1F}, {0.1F, 0.2F, 0.5F}, 0.14F);
   const int barrel = b.Mat(Pattern::kStripes, {0.5F, 0.16F, 0.05F}, {0.6F, 0.57F, 0.5F}, 0.3F);
   const int wood = b.Mat(Pattern::kPlanks, {0.26F, 0.18F, 0.11F}, {0.08F, 0.05F, 0.03F}, 0.12F);
@@ -660,8 +667,7 @@ Scene BuildTunnel(std::uint64_t seed) {
     b.Standing(-44.0F + 4.0F * static_cast<float>(i), 0.0F, 0.0F, {1.6F, 0.13F, 0.009F}, paint);
   }
   b.SetIndoor(true);
-  scene.portals.push_back(
-      {{0.02F, 0.0F, 2.85F}, {0, half_width, 0}, {0, 0, 2.85F}, {-1, 0, 0}});
+  scene.portals.push_back({{0.02F, 0.0F, 2.85F}, {0, half_width, 0}, {0, 0, 2.85F}, {-1, 0, 0}});
   // Side walls with pavements, the arch above in facets.
   const float length = mouth - back;
   const float middle = (mouth + back) / 2;
@@ -708,14 +714,16 @@ Scene BuildTunnel(std::uint64_t seed) {
   for (int i = 0; i < 8; ++i) {  // courses that step round the arch
     const float z0 = spring + half_width * static_cast<float>(i) / 8.0F;
     const float z1 = spring + half_width * static_cast<float>(i + 1) / 8.0F;
-    const float open = std::sqrt(std::max(0.0F, half_width * half_width - (z0 - spring) * (z0 - spring)));
+    const float open =
+        std::sqrt(std::max(0.0F, half_width * half_width - (z0 - spring) * (z0 - spring)));
     for (const float side : {-1.0F, 1.0F}) {
       b.Block({mouth - 0.6F, side > 0 ? open : -half_width, z0},
               {mouth, side > 0 ? half_width : -open, z1}, concrete);
     }
   }
   b.Block({mouth - 0.6F, -half_width, spring + half_width}, {mouth, half_width, 7.2F}, concrete);
-  b.Block({mouth - 0.7F, -half_width - 3.2F, 7.2F}, {mouth + 0.15F, half_width + 3.2F, 7.5F}, concrete);
+  b.Block({mouth - 0.7F, -half_width - 3.2F, 7.2F}, {mouth + 0.15F, half_width + 3.2F, 7.5F},
+          concrete);
   b.SetIndoor(true);
   // Inside: ribs, pipes, niches, dim lamps, things left behind.
   for (int i = 0; i < 11; ++i) {
@@ -723,7 +731,8 @@ Scene BuildTunnel(std::uint64_t seed) {
     for (const float side : {-1.0F, 1.0F}) {
       b.Block({x - 0.18F, side > 0 ? half_width - 0.16F : -half_width, 0.0F},
               {x + 0.18F, side > 0 ? half_width : -half_width + 0.16F, spring}, concrete);
-      b.Add(Shape::kBox, {x + 2.0F, side * (half_width - 0.01F), 1.05F}, {0.4F, 0.06F, 0.8F}, black);
+      b.Add(Shape::kBox, {x + 2.0F, side * (half_width - 0.01F), 1.05F}, {0.4F, 0.06F, 0.8F},
+            black);
     }
     if (i % 2 == 1) {
       const Vec3 sodium{5200, 3600, 1600};
@@ -732,8 +741,8 @@ Scene BuildTunnel(std::uint64_t seed) {
     }
   }
   for (const float z : {2.15F, 2.4F}) {
-    Primitive& tube = b.Add(Shape::kCylinder, {middle, half_width - 0.12F, z},
-                            {0.07F, 0.07F, length / 2}, pipe);
+    Primitive& tube =
+        b.Add(Shape::kCylinder, {middle, half_width - 0.12F, z}, {0.07F, 0.07F, length / 2}, pipe);
     tube.axis_z = {1, 0, 0};
     tube.axis_x = {0, 1, 0};
     tube.axis_y = {0, 0, 1};
@@ -795,7 +804,8 @@ Scene BuildStreet(std::uint64_t seed) {
   sky.seed = static_cast<std::uint32_t>(seed) * 31U + 9U;
   const OutdoorMaterials outdoor = AddOutdoorMaterials(b);
   const int asphalt = b.Mat(Pattern::kAsphalt, {0.075F, 0.075F, 0.08F});
-  const int pavement = b.Mat(Pattern::kTiles, {0.26F, 0.25F, 0.24F}, {0.1F, 0.1F, 0.1F}, 0.4F, 1.4F);
+  const int pavement =
+      b.Mat(Pattern::kTiles, {0.26F, 0.25F, 0.24F}, {0.1F, 0.1F, 0.1F}, 0.4F, 1.4F);
   const int paint = b.Mat(Pattern::kPlaster, {0.66F, 0.66F, 0.62F});
   const int iron = b.Mat(Pattern::kPlaster, {0.05F, 0.055F, 0.05F});
   const int stone = b.Mat(Pattern::kConcrete, {0.36F, 0.34F, 0.31F}, {0.2F, 0.2F, 0.2F}, 0.45F);
@@ -842,7 +852,8 @@ Scene BuildStreet(std::uint64_t seed) {
       const int floors = static_cast<int>((height - 0.8F) / 2.9F);
       for (int floor = 0; floor < floors; ++floor) {
         for (int column = 0; column < columns; ++column) {
-          const float wx = x + width * (static_cast<float>(column) + 0.5F) / static_cast<float>(columns);
+          const float wx =
+              x + width * (static_cast<float>(column) + 0.5F) / static_cast<float>(columns);
           const float wz = 1.9F + 2.9F * static_cast<float>(floor);
           if (floor == 0 && column == number % columns) {
             b.Standing(wx, face - side * 0.03F, 0.1F, {1.1F, 0.1F, 2.3F}, door);
@@ -854,7 +865,9 @@ Scene BuildStreet(std::uint64_t seed) {
           const bool is_shop = floor == 0 && number % 3 == 1;
           const Vec3 centre{wx, face - side * 0.075F, wz};
           Primitive& pane = b.Panel(centre, {0, -side, 0}, 1.0F, 1.5F,
-                                    is_shop ? shop : chance < 0.4F ? lit : dark_glass);
+                                    is_shop         ? shop
+                                    : chance < 0.4F ? lit
+                                                    : dark_glass);
           if (is_shop || chance < 0.4F) {
             pane.emission = is_shop ? Vec3{1700, 1550, 1300}
                                     : Vec3{300, 205, 100} * b.random.Range(0.35F, 1.4F);
@@ -906,7 +919,8 @@ Scene BuildStreet(std::uint64_t seed) {
     b.Standing(x - 0.2F, y, 1.35F, {2.0F, 1.45F, 0.06F}, body);
     for (const float wx : {-1.3F, 1.3F}) {
       for (const float wy : {-0.78F, 0.78F}) {
-        Primitive& wheel = b.Add(Shape::kCylinder, {x + wx, y + wy, 0.31F}, {0.31F, 0.31F, 0.09F}, black);
+        Primitive& wheel =
+            b.Add(Shape::kCylinder, {x + wx, y + wy, 0.31F}, {0.31F, 0.31F, 0.09F}, black);
         wheel.axis_z = {0, 1, 0};
         wheel.axis_x = {1, 0, 0};
         wheel.axis_y = Cross(wheel.axis_z, wheel.axis_x);

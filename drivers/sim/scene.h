@@ -10,20 +10,22 @@
 
 namespace omnihdr::sim {
 
-// Light from infinity: a gradient from horizon to zenith, clouds, a glow round the sun and its disc.
+// Light from infinity: a gradient from horizon to zenith, clouds, a glow round the sun and its
+// disc.
 struct Sky {
   Vec3 zenith;
   Vec3 horizon;
-  Vec3 below;             // radiance of what lies below the horizon and beyond the scene
+  Vec3 below;  // radiance of what lies below the horizon and beyond the scene
   Vec3 cloud;
   float cloudiness = 0.4F;
   Vec3 sun_direction{0, 0, 1};
-  Vec3 sun_irradiance;    // on a surface facing the sun
-  Vec3 glow;              // radiance close to the disc, falling off with the angle
+  Vec3 sun_irradiance;         // on a surface facing the sun
+  Vec3 glow;                   // radiance close to the disc, falling off with the angle
   float disc_radius = 0.014F;  // radians: large enough for a pixel to hit it
   std::uint32_t seed = 0;
 
-  // Radiance from a direction (unit length, pointing away from the viewer), sun disc included if asked.
+  // Radiance from a direction (unit length, pointing away from the viewer), sun disc included if
+  // asked.
   Vec3 Radiance(Vec3 direction, bool with_disc = true) const;
 };
 
@@ -31,9 +33,9 @@ struct Sky {
 struct AreaLight {
   Vec3 centre;
   Vec3 radiance;
-  Vec3 half_u;    // the emitting rectangle spans centre ± half_u ± half_v
+  Vec3 half_u;  // the emitting rectangle spans centre ± half_u ± half_v
   Vec3 half_v;
-  Vec3 normal;    // direction of emission
+  Vec3 normal;              // direction of emission
   bool both_sides = false;  // a lamp that shines all round
 };
 
@@ -54,8 +56,8 @@ class Path {
     double heading = 0.0;  // radians from +X towards +Y
   };
   Path() = default;
-  // Integrates the heading from `start`: curvature(s) in 1/metre over `length` metres. A closed path
-  // comes back to its start and is driven round and round; an open one is driven to and fro.
+  // Integrates the heading from `start`: curvature(s) in 1/metre over `length` metres. A closed
+  // path comes back to its start and is driven round and round; an open one is driven to and fro.
   Path(Point start, double length, bool closed, const std::function<double(double s)>& curvature);
 
   Point At(double s) const;

@@ -208,8 +208,7 @@ RenderedView World::Render(const Pose& world_from_camera, const Projection& proj
       for (int x = 0; x < width; ++x) {
         const Vec3 centre = towards(centre_row, centre_direction[static_cast<std::size_t>(x)]);
         const Hit centre_hit = impl.geometry.Intersect(origin, centre);
-        distance[x] =
-            centre_hit.valid() ? centre_hit.t : std::numeric_limits<float>::infinity();
+        distance[x] = centre_hit.valid() ? centre_hit.t : std::numeric_limits<float>::infinity();
         Vec3 sum;
         for (int sy = 0; sy < side; ++sy) {
           for (int sx = 0; sx < side; ++sx) {

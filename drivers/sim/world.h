@@ -30,14 +30,15 @@ struct RenderedView {
 
 // How the camera moves along the scene's path.
 struct MotionOptions {
-  double yaw_deg_per_m = 0.0;  // turning of the camera against the direction of travel, per metre driven
-  double sway_deg = 1.0;       // amplitude of the slow pitching and rolling, 0 … 10
+  double yaw_deg_per_m =
+      0.0;                // turning of the camera against the direction of travel, per metre driven
+  double sway_deg = 1.0;  // amplitude of the slow pitching and rolling, 0 … 10
   Status Validate() const;
 };
 
-// A rendered world of at least four decades of radiance in which every surface is diffuse, so that a
-// point has the same radiance from everywhere. A seed gives a layout, textures and light of its own;
-// equal arguments give equal bytes, on any number of threads. Immutable; any thread.
+// A rendered world of at least four decades of radiance in which every surface is diffuse, so that
+// a point has the same radiance from everywhere. A seed gives a layout, textures and light of its
+// own; equal arguments give equal bytes, on any number of threads. Immutable; any thread.
 class World {
  public:
   // Takes about a second: light is computed once for the whole scene.
@@ -49,8 +50,8 @@ class World {
   SceneKind scene() const { return scene_; }
   std::uint64_t seed() const { return seed_; }
 
-  // `samples` rays a pixel for the radiance (1 … 64, rounded down to a square number); the distance is
-  // that of the centre ray. Uses the worker pool.
+  // `samples` rays a pixel for the radiance (1 … 64, rounded down to a square number); the distance
+  // is that of the centre ray. Uses the worker pool.
   RenderedView Render(const Pose& world_from_camera, const Projection& projection,
                       int samples = 4) const;
   // world_from_camera at a distance (metres, any real number) along the path: 1.5 to 2 m above the

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include "core/base/clock.h"
+#include "core/base/result.h"
+#include "core/capture/bracket_plan.h"
+#include "core/session/session.h"
+#include "drivers/sim/sensor.h"
+#include "drivers/sim/world.h"
+
+namespace omnihdr::sim {
+
+// Everything needed to render a simulated session's truth again: world, way, sensor. Travels in
+// session.json as {"simulation": {...}}.
+struct Simulation {
+  SceneKind scene = SceneKind::kHall;
+  std::uint64_t seed = 1;
+  ProjectionKind projection = ProjectionKind::kEquirectangular;
+  int width = 1536;      // of the panorama, 64 to 8192; its height follows
+  int samples = 4;       // rays a pixel: 1, 4, 9 or 16
+  double start_m = 0.0;  // distance along the path at odometer 0
+  MotionOptions motion;
+  SensorOptions sensor;
+
+  Status Validate() const;  // kConfig error naming the option and its range
+  // Equirectangular 2:1, or a cylinder from −67° to +67° (z ±2.356) with square pixels at the
+  // horizon.
+  Projection MakeProjection() const;
+  Pose PoseAt(const World& world, double odometer_m) const {
+    return world.PoseAt(start_m + odometer_m, motion);
+  }
+  CameraDescription Camera() const;
+};
+
+// {"simulation": {...}} and back; keys that are missing keep their default, unknown ones are
+// ignored.
+std::string FormatSimulation(const Simulation& simulation);
+Result<Simulation> ParseSimulation(const std::string& json);
+// A frame's truth: {"pose": {"q", "t"}, "scene", "seed", "odometer_m"}.
+std::string FormatTruth(const Simulation& simulation, const Pose& world_from_camera,
+                        double odometer_m);
+
+struct SimulateOptions {
+  Simulation simulation;
+  BracketOptions bracket;
+  int positions = 9;       // 1 to 100000
+  double spacing_m = 0.3;  // between positions, 0 to 100
+  bool write_odometer = true;
+  std::string created;  // ISO 8601 for session.json; empty = now
+  Status Validate() const;
+};
+
+// Writes a complete session directory from a simulated drive, as fast as it can: a line and a PNG a
+// frame, truth included. `progress` (may be empty) hears of every frame stored. Equal options (with
+// `created` given) give equal bytes.
+Status WriteSimulatedSession(const std::filesystem::path& directory, const SimulateOptions& options,
+                             const std::function<void(const FrameRecord&)>& progress);
+
+}  // namespace omnihdr::sim
