@@ -14,10 +14,10 @@
 
 namespace omnihdr {
 
-// The configuration of the daemon and of the command line tool. One member per TOML key, in sections of
-// the same name; config/omnihdr.toml documents every key with its default, unit and range. Paths are
-// absolute or relative to the working directory once loaded: a relative path in a file is taken from
-// that file's directory.
+// The configuration of the daemon and of the command line tool. One member per TOML key, in
+// sections of the same name; config/omnihdr.toml documents every key with its default, unit and
+// range. Paths are absolute or relative to the working directory once loaded: a relative path in a
+// file is taken from that file's directory.
 
 inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.toml";
 
@@ -48,14 +48,14 @@ struct SimCameraConfig {
   ProjectionKind projection = ProjectionKind::kEquirectangular;
   double photons_full_well = 20000.0;  // electrons at value 255: shot noise
   double read_noise = 0.5;             // code values rms
-  double speed_m_s = 1.0;
-  double path_curvature_per_m = 0.05;     // 1/radius of the vehicle's track, left positive
-  double path_rotation_deg_per_m = 5.0;   // yaw of the camera on the vehicle beyond the track's
-  double latency_s = 0.0;                 // trigger to frame
+  double speed_m_s = 1.0;              // along the scene's path, whose curvature the scene decides
+  double yaw_deg_per_m = 5.0;          // turning of the camera against the direction of travel
+  double sway_deg = 1.0;               // amplitude of the slow pitching and rolling
+  double latency_s = 0.0;              // trigger to frame
   double lost_frame_probability = 0.0;
   double corrupt_frame_probability = 0.0;
   double exposure_error_probability = 0.0;
-  double max_distance_m = 0.0;            // the vehicle stops there; 0 = never
+  double max_distance_m = 0.0;  // the vehicle stops there; 0 = never
 };
 
 // [camera.replay]
@@ -66,15 +66,15 @@ struct ReplayCameraConfig {
 // [camera]
 struct CameraConfig {
   CameraDriver driver = CameraDriver::kSim;
-  double frame_timeout_s = 2.0;       // command to frame; then the trigger counts as camera-timeout
-  double exposure_tolerance = 0.02;   // relative difference of commanded and proved exposure
-  double reconnect_s = 2.0;           // between attempts to open a camera that has gone
+  double frame_timeout_s = 2.0;      // command to frame; then the trigger counts as camera-timeout
+  double exposure_tolerance = 0.02;  // relative difference of commanded and proved exposure
+  double reconnect_s = 2.0;          // between attempts to open a camera that has gone
   SimCameraConfig sim;
   ReplayCameraConfig replay;
 };
 
-// [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The form
-// that a later file gives replaces the other one.
+// [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The
+// form that a later file gives replaces the other one.
 struct BracketConfig {
   BracketOrder order = BracketOrder::kSawtooth;
   std::vector<double> exposures_s = {0.001, 0.004, 0.016};
@@ -90,9 +90,9 @@ struct BracketConfig {
 // [trigger]
 struct TriggerConfig {
   TriggerKind source = TriggerKind::kSoftware;
-  double interval_s = 1.0;    // timer
-  double distance_m = 0.3;    // distance
-  std::uint64_t limit = 0;    // triggers after which the source disarms; 0 = none
+  double interval_s = 1.0;  // timer
+  double distance_m = 0.3;  // distance
+  std::uint64_t limit = 0;  // triggers after which the source disarms; 0 = none
   bool armed_at_start = false;
 };
 
@@ -148,18 +148,19 @@ struct ConfigSource {
 
 struct LoadedConfig {
   DaemonConfig config;
-  std::vector<std::string> files;               // those read, in order
-  std::map<std::string, ConfigSource> sources;  // by key; a key that is missing here has its default
-  std::vector<ConfigProblem> problems;          // all that were found; empty = the config is usable
+  std::vector<std::string> files;  // those read, in order
+  std::map<std::string, ConfigSource>
+      sources;                          // by key; a key that is missing here has its default
+  std::vector<ConfigProblem> problems;  // all that were found; empty = the config is usable
   bool ok() const { return problems.empty(); }
 };
 
-// Reads `file` and then omnihdr.d/*.toml beside it in lexical order, each overriding key by key what came
-// before. Reports every problem found, not just the first; what is wrong keeps the value from before.
-// With `must_exist` false a missing `file` means defaults.
+// Reads `file` and then omnihdr.d/*.toml beside it in lexical order, each overriding key by key
+// what came before. Reports every problem found, not just the first; what is wrong keeps the value
+// from before. With `must_exist` false a missing `file` means defaults.
 LoadedConfig LoadConfig(const std::filesystem::path& file, bool must_exist = true);
-// One TOML text as if it were the only file. `name` stands in messages; relative paths are taken from
-// its directory.
+// One TOML text as if it were the only file. `name` stands in messages; relative paths are taken
+// from its directory.
 LoadedConfig ParseConfig(std::string_view toml, const std::string& name);
 // The configuration, or one kConfig error (exit code 78) with all problems, a line each.
 Result<DaemonConfig> ConfigOrError(LoadedConfig loaded);

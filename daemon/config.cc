@@ -1,0 +1,360 @@
+#include "daemon/config.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <system_error>
+#include <utility>
+
+#include "core/base/file.h"
+#include "daemon/config_keys.h"
+#include "daemon/config_toml.h"
+
+namespace omnihdr {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kMaxDropIns = 256;
+constexpr std::string_view kDropInDirectory = "omnihdr.d";
+
+std::size_t EditDistance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    std::size_t diagonal = std::exchange(row[0], i);
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      const std::size_t replaced = diagonal + (a[i - 1] == b[j - 1] ? 0 : 1);
+      diagonal = row[j];
+      row[j] = std::min({row[j] + 1, row[j - 1] + 1, replaced});
+    }
+  }
+  return row.back();
+}
+
+std::string_view LastPart(std::string_view key) { return key.substr(key.rfind('.') + 1); }
+
+// The key that was probably meant: one letter off, or the right name in the wrong section.
+std::string Suggestion(std::string_view key) {
+  if (key.size() > 100) return "";
+  const ConfigKey* best = nullptr;
+  std::size_t best_distance = 3;
+  for (const ConfigKey& candidate : ConfigKeys()) {
+    const std::size_t distance = EditDistance(key, candidate.name);
+    if (distance < best_distance) {
+      best = &candidate;
+      best_distance = distance;
+    }
+  }
+  for (const ConfigKey& candidate : ConfigKeys()) {
+    if (best == nullptr && LastPart(candidate.name) == LastPart(key)) best = &candidate;
+  }
+  return best == nullptr ? "" : fmt::format(" (did you mean {}?)", best->name);
+}
+
+bool IsSection(std::string_view key) {
+  return std::any_of(ConfigKeys().begin(), ConfigKeys().end(), [key](const ConfigKey& candidate) {
+    return candidate.name.size() > key.size() && candidate.name.starts_with(key) &&
+           candidate.name[key.size()] == '.';
+  });
+}
+
+class Loader {
+ public:
+  // Applies one file's text.
+  void Apply(std::string_view text, const std::string& name) {
+    loaded_.files.push_back(name);
+    const TomlDocument document = ParseToml(text);
+    if (!document.error.empty()) {
+      Problem({name, document.error_line}, "", document.error);
+      return;
+    }
+    const fs::path directory = fs::path(name).parent_path();
+    std::string unknown_section;
+    for (const TomlEntry& entry : document.entries) {
+      const ConfigSource source{name, entry.line};
+      if (!unknown_section.empty() && entry.key.starts_with(unknown_section)) continue;
+      const ConfigKey* key = FindConfigKey(entry.key);
+      const bool section = IsSection(entry.key);
+      if (!entry.value) {
+        if (section) continue;
+        unknown_section = entry.key + ".";
+        Problem(source, entry.key,
+                key != nullptr ? fmt::format("a section, expected {}", key->expected)
+                               : "unknown section");
+      } else if (section) {
+        Problem(source, entry.key,
+                fmt::format("{}, expected a section [{}]", ShownToml(*entry.value), entry.key));
+      } else if (key == nullptr) {
+        Problem(source, entry.key,
+                fmt::format("{}, expected a known key{}", ShownToml(*entry.value),
+                            Suggestion(entry.key)));
+      } else if (!key->set(loaded_.config, *entry.value, directory)) {
+        Problem(source, entry.key,
+                fmt::format("{}, expected {}", ShownToml(*entry.value), key->expected));
+      } else {
+        loaded_.sources[entry.key] = source;
+      }
+    }
+    ChooseBracketForm(name);
+  }
+
+  void ApplyFile(const fs::path& path) {
+    Result<std::string> text = ReadTextFile(path, kMaxConfigBytes);
+    if (text) {
+      Apply(*text, path.string());
+    } else {
+      loaded_.files.push_back(path.string());
+      // ReadTextFile's message begins with the path, as does ours.
+      std::string message = text.error().message;
+      const std::string prefix = path.string() + ": ";
+      if (message.starts_with(prefix)) message.erase(0, prefix.size());
+      Problem({path.string(), 0}, "", message);
+    }
+  }
+
+  // What no single key can tell.
+  void CheckTogether() {
+    const DaemonConfig& config = loaded_.config;
+    const auto line_of = [this](const std::string& key) {
+      const auto found = loaded_.sources.find(key);
+      return found == loaded_.sources.end() ? ConfigSource{DefaultFile(), 0} : found->second;
+    };
+    if (config.camera.driver == CameraDriver::kReplay && config.camera.replay.session.empty()) {
+      Problem(line_of("camera.driver"), "camera.replay.session",
+              "\"\", expected a session directory with camera.driver = \"replay\"");
+    }
+    if (config.trigger.source == TriggerKind::kReplay &&
+        config.camera.driver != CameraDriver::kReplay) {
+      Problem(line_of("trigger.source"), "trigger.source",
+              "\"replay\", expected another source unless camera.driver = \"replay\"");
+    }
+    const BracketConfig& bracket = config.bracket;
+    if (bracket.start_s > 0.0) {
+      const double longest = bracket.Exposures().back().seconds();
+      if (!(longest <= 100.0)) {
+        Problem(line_of("bracket.start_s"), "bracket.count",
+                fmt::format("{}, expected the longest exposure, now {:g} s, within 100 s",
+                            bracket.count, longest));
+      }
+      if (bracket.order == BracketOrder::kList) {
+        Problem(line_of("bracket.order"), "bracket.order",
+                "\"list\", expected \"sawtooth\" or \"triangle\" with bracket.start_s");
+      }
+    } else if (bracket.exposures_s.empty()) {
+      Problem(line_of("bracket.exposures_s"), "bracket.exposures_s",
+              "[], expected at least one exposure, or bracket.start_s");
+    }
+    const PipelineOptions& options = config.pipeline.options;
+    if (options.value_low >= options.value_high) {
+      Problem(line_of("photometry.value_low"), "photometry.value_low",
+              fmt::format("{}, expected less than photometry.value_high, {}",
+                          TomlText(options.value_low), TomlText(options.value_high)));
+    }
+  }
+
+  void Problem(ConfigSource source, std::string key, std::string message) {
+    loaded_.problems.push_back(
+        {std::move(source.file), source.line, std::move(key), std::move(message)});
+  }
+
+  LoadedConfig Take() && { return std::move(loaded_); }
+
+ private:
+  std::string DefaultFile() const {
+    return loaded_.files.empty() ? std::string("built-in default") : loaded_.files.front();
+  }
+
+  // The form of the bracket given last replaces the other; both in one file contradict each other.
+  void ChooseBracketForm(const std::string& file) {
+    const auto given_here = [&](const char* key) {
+      const auto found = loaded_.sources.find(key);
+      return found != loaded_.sources.end() && found->second.file == file;
+    };
+    BracketConfig& bracket = loaded_.config.bracket;
+    const bool listed = given_here("bracket.exposures_s") && !bracket.exposures_s.empty();
+    const bool stepped = given_here("bracket.start_s") && bracket.start_s > 0.0;
+    if (listed && stepped) {
+      Problem(loaded_.sources["bracket.start_s"], "bracket.start_s",
+              fmt::format("{}, expected either bracket.exposures_s or bracket.start_s, not both",
+                          TomlText(bracket.start_s)));
+    } else if (listed) {
+      bracket.start_s = 0.0;
+    } else if (stepped) {
+      bracket.exposures_s.clear();
+    }
+  }
+
+  LoadedConfig loaded_;
+};
+
+std::string SourceText(const LoadedConfig& loaded, const std::string& key) {
+  const auto found = loaded.sources.find(key);
+  return found == loaded.sources.end()
+             ? std::string("default")
+             : fmt::format("{}:{}", found->second.file, found->second.line);
+}
+
+}  // namespace
+
+std::string_view ToString(OnExistingSession value) {
+  return value == OnExistingSession::kResume ? "resume" : "refuse";
+}
+
+std::string_view ToString(CameraDriver value) {
+  return value == CameraDriver::kSim ? "sim" : "replay";
+}
+
+std::string_view ToString(SimScene value) {
+  switch (value) {
+    case SimScene::kHall:
+      return "hall";
+    case SimScene::kYard:
+      return "yard";
+    case SimScene::kTunnel:
+      return "tunnel";
+    case SimScene::kStreet:
+      return "street";
+  }
+  return "?";
+}
+
+std::string_view ToString(TriggerKind value) {
+  switch (value) {
+    case TriggerKind::kSoftware:
+      return "software";
+    case TriggerKind::kTimer:
+      return "timer";
+    case TriggerKind::kDistance:
+      return "distance";
+    case TriggerKind::kReplay:
+      return "replay";
+  }
+  return "?";
+}
+
+std::string_view ToString(LogLevel value) {
+  switch (value) {
+    case LogLevel::kDebug:
+      return "debug";
+    case LogLevel::kInfo:
+      return "info";
+    case LogLevel::kWarning:
+      return "warning";
+    case LogLevel::kError:
+      return "error";
+  }
+  return "?";
+}
+
+std::vector<ExposureTime> BracketConfig::Exposures() const {
+  std::vector<ExposureTime> exposures;
+  if (start_s > 0.0) {
+    for (int i = 0; i < count; ++i) {
+      exposures.push_back(ExposureTime::Seconds(start_s) + Stops{i * step_stops});
+    }
+  } else {
+    for (const double seconds : exposures_s) exposures.push_back(ExposureTime::Seconds(seconds));
+  }
+  return exposures;
+}
+
+std::string ConfigProblem::ToString() const {
+  std::string text = line > 0 ? fmt::format("{}:{}: ", file, line) : fmt::format("{}: ", file);
+  if (!key.empty()) text += key + ": ";
+  return text + message;
+}
+
+LoadedConfig LoadConfig(const fs::path& file, bool must_exist) {
+  Loader loader;
+  std::error_code error;
+  if (must_exist || fs::exists(file, error)) loader.ApplyFile(file);
+
+  const fs::path directory = file.parent_path() / kDropInDirectory;
+  std::vector<fs::path> drop_ins;
+  if (fs::exists(directory, error)) {
+    fs::directory_iterator it(directory, error);
+    for (const fs::directory_iterator end; !error && it != end; it.increment(error)) {
+      const std::string name = it->path().filename().string();
+      if (it->path().extension() == ".toml" && !name.starts_with('.')) {
+        drop_ins.push_back(it->path());
+      }
+      if (drop_ins.size() > kMaxDropIns) break;
+    }
+    if (error) loader.Problem({directory.string(), 0}, "", error.message());
+  }
+  if (drop_ins.size() > kMaxDropIns) {
+    loader.Problem({directory.string(), 0}, "",
+                   fmt::format("over {} files, expected at most so many", kMaxDropIns));
+    drop_ins.clear();
+  }
+  std::sort(drop_ins.begin(), drop_ins.end());
+  for (const fs::path& path : drop_ins) loader.ApplyFile(path);
+  loader.CheckTogether();
+  return std::move(loader).Take();
+}
+
+LoadedConfig ParseConfig(std::string_view toml, const std::string& name) {
+  Loader loader;
+  loader.Apply(toml, name);
+  loader.CheckTogether();
+  return std::move(loader).Take();
+}
+
+Result<DaemonConfig> ConfigOrError(LoadedConfig loaded) {
+  if (loaded.ok()) return std::move(loaded.config);
+  std::string message;
+  for (const ConfigProblem& problem : loaded.problems) {
+    if (!message.empty()) message += '\n';
+    message += problem.ToString();
+  }
+  return Fail(ErrorKind::kConfig, "{}", message);
+}
+
+std::vector<std::string> ConfigKeyNames() {
+  std::vector<std::string> names;
+  for (const ConfigKey& key : ConfigKeys()) names.push_back(key.name);
+  return names;
+}
+
+Result<std::string> ConfigValueToToml(const DaemonConfig& config, std::string_view key) {
+  const ConfigKey* found = FindConfigKey(key);
+  if (found == nullptr) {
+    return Fail(ErrorKind::kUsage, "{}: expected a known key{}", key, Suggestion(key));
+  }
+  return found->show(config);
+}
+
+std::string FormatConfig(const LoadedConfig& loaded) {
+  std::string text;
+  std::string section;
+  for (const ConfigKey& key : ConfigKeys()) {
+    const std::string key_section = key.name.substr(0, key.name.rfind('.'));
+    if (key_section != section) {
+      text += fmt::format("{}[{}]\n", section.empty() ? "" : "\n", key_section);
+      section = key_section;
+    }
+    text += fmt::format("{:<44} # {}\n",
+                        fmt::format("{} = {}", LastPart(key.name), key.show(loaded.config)),
+                        SourceText(loaded, key.name));
+  }
+  return text;
+}
+
+std::string FormatConfigJson(const LoadedConfig& loaded) {
+  std::string text = "{\"files\": [";
+  for (std::size_t i = 0; i < loaded.files.size(); ++i) {
+    text += fmt::format("{}{}", i > 0 ? ", " : "", TomlText(loaded.files[i]));
+  }
+  text += "],\n \"values\": {";
+  bool first = true;
+  for (const ConfigKey& key : ConfigKeys()) {
+    text += fmt::format("{}\n  \"{}\": {{\"value\": {}, \"source\": {}}}", first ? "" : ",",
+                        key.name, key.show(loaded.config), TomlText(SourceText(loaded, key.name)));
+    first = false;
+  }
+  return text + "\n }}\n";
+}
+
+}  // namespace omnihdr

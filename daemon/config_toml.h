@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace omnihdr {
+
+// A TOML value as far as configuration keys use them.
+struct TomlValue {
+  enum class Type { kBoolean, kInteger, kFloat, kString, kArray, kOther };
+  Type type = Type::kOther;
+  bool boolean = false;
+  std::int64_t integer = 0;
+  double real = 0.0;
+  std::string text;
+  std::vector<TomlValue> items;
+};
+
+// A value for messages and for `config show`: TOML, shortened when it is long.
+std::string ShownToml(const TomlValue& value);
+// TOML text that reads back as the same value (and is JSON too).
+std::string TomlText(double value);
+std::string TomlText(std::string_view value);
+
+// One key (value set) or one section heading (no value) of a file.
+struct TomlEntry {
+  std::string key;  // dotted; a part that is not a bare key is quoted
+  std::optional<TomlValue> value;
+  int line = 0;
+};
+
+struct TomlDocument {
+  std::vector<TomlEntry> entries;  // in the order of lines
+  // Why the text is not TOML.
+  std::string error;
+  int error_line = 0;
+};
+
+inline constexpr std::size_t kMaxConfigBytes = std::size_t{1} << 20;
+
+// Parses untrusted text: size, UTF-8 and nesting are checked before the TOML library sees it. Never
+// throws.
+TomlDocument ParseToml(std::string_view text);
+
+}  // namespace omnihdr
