@@ -146,12 +146,6 @@ class Loader {
       Problem(line_of("bracket.exposures_s"), "bracket.exposures_s",
               "[], expected at least one exposure, or bracket.start_s");
     }
-    const PipelineOptions& options = config.pipeline.options;
-    if (options.value_low >= options.value_high) {
-      Problem(line_of("photometry.value_low"), "photometry.value_low",
-              fmt::format("{}, expected less than photometry.value_high, {}",
-                          TomlText(options.value_low), TomlText(options.value_high)));
-    }
   }
 
   void Problem(ConfigSource source, std::string key, std::string message) {

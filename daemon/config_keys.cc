@@ -262,7 +262,7 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(camera.sim.projection)));
   add(Number("camera.sim.photons_full_well", "electrons", 100, 1e7,
              OMNIHDR_MEMBER(camera.sim.photons_full_well)));
-  add(Number("camera.sim.read_noise", "code values", 0, 50, OMNIHDR_MEMBER(camera.sim.read_noise)));
+  add(Number("camera.sim.read_noise", "code values", 0, 20, OMNIHDR_MEMBER(camera.sim.read_noise)));
   add(Number("camera.sim.speed_m_s", "metres per second", 0.001, 100,
              OMNIHDR_MEMBER(camera.sim.speed_m_s)));
   add(Number("camera.sim.yaw_deg_per_m", "degrees per metre", -360, 360,
@@ -330,18 +330,18 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("output.preview_quality", "a whole number", 1, 100,
             OMNIHDR_MEMBER(pipeline.options.preview_quality)));
 
-  add(Number("photometry.value_low", "8-bit code values", 0, 254,
+  add(Number("photometry.value_low", "8-bit code values", 0, 127,
              OMNIHDR_MEMBER(pipeline.options.value_low)));
-  add(Number("photometry.value_high", "8-bit code values", 1, 255,
+  add(Number("photometry.value_high", "8-bit code values", 128, 255,
              OMNIHDR_MEMBER(pipeline.options.value_high)));
   add(Number("photometry.read_noise", "8-bit code values", 0, 50,
              OMNIHDR_MEMBER(pipeline.options.noise.read)));
-  add(Number("photometry.noise_gain", "code values of variance per code value", 0, 10,
+  add(Number("photometry.gain", "code values of variance per code value", 0, 10,
              OMNIHDR_MEMBER(pipeline.options.noise.gain)));
-  add(Number("photometry.prnu", "a fraction", 0, 1, OMNIHDR_MEMBER(pipeline.options.noise.prnu)));
+  add(Number("photometry.prnu", "a fraction", 0, 0.2, OMNIHDR_MEMBER(pipeline.options.noise.prnu)));
 
-  add(EvenPixels("stereo.width", "", 128, 8192, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
-  add(Whole("stereo.labels", "a whole number", 8, 512, OMNIHDR_MEMBER(pipeline.options.labels)));
+  add(EvenPixels("stereo.width", "", 128, 4096, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
+  add(Whole("stereo.labels", "a whole number", 16, 256, OMNIHDR_MEMBER(pipeline.options.labels)));
   add(Number("stereo.max_parallax_deg", "degrees", 1, 90,
              OMNIHDR_MEMBER(pipeline.options.max_parallax_deg)));
   add(Whole("stereo.neighbours", "a whole number", 1, 2,
