@@ -1,0 +1,213 @@
+#include "daemon/evaluation/contact_sheet.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <memory>
+#include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/image/image_io.h"
+#include "core/photometry/tonemap.h"
+#include "core/session/session_reader.h"
+#include "core/session/view_writer.h"
+#include "daemon/evaluation/own_frame.h"
+#include "daemon/evaluation/reference.h"
+#include "daemon/evaluation/view_files.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr int kGap = 6;
+constexpr int kTitleHeight = 30;
+constexpr int kLabelHeight = 22;
+constexpr double kErrorFull = 0.3;  // a factor of two
+
+// The cells of one row, already at their size.
+struct Row {
+  std::string label;
+  std::vector<Image<std::uint8_t>> cells;
+};
+
+cv::Mat Mat(Image<std::uint8_t>& image) {
+  return {image.height(), image.width(), CV_8UC(image.channels()), image.data()};
+}
+
+Image<std::uint8_t> Shrunk(Image<std::uint8_t> picture, int width, int height) {
+  Image<std::uint8_t> small(width, height, 3);
+  cv::Mat target = Mat(small);
+  cv::resize(Mat(picture), target, target.size(), 0.0, 0.0, cv::INTER_AREA);
+  return small;
+}
+
+// The input frame as its sensor saw it: linear values, shown with the sRGB curve.
+Image<std::uint8_t> FramePicture(const Image<float>& radiance, double exposure_s) {
+  Image<std::uint8_t> picture(radiance.width(), radiance.height(), 3);
+  const auto scale = static_cast<float>(exposure_s * 128.0 / 255.0);
+  for (std::size_t i = 0; i < radiance.size(); ++i) {
+    picture.data()[i] = EncodeSrgb(radiance.data()[i] * scale);
+  }
+  return picture;
+}
+
+// The disparity below which 98 % of a map lies.
+double Near(const Image<float>& disparity) {
+  std::vector<float> known;
+  for (std::size_t i = 0; i < disparity.size(); i += 7) {
+    if (std::isfinite(disparity.data()[i])) known.push_back(disparity.data()[i]);
+  }
+  if (known.empty()) return 0.0;
+  const auto nth =
+      known.begin() + static_cast<std::ptrdiff_t>(0.98 * static_cast<double>(known.size() - 1));
+  std::nth_element(known.begin(), nth, known.end());
+  return static_cast<double>(*nth);
+}
+
+std::vector<PositionId> Sampled(const std::vector<PositionId>& positions, int rows) {
+  if (static_cast<int>(positions.size()) <= rows) return positions;
+  std::vector<PositionId> sampled;
+  for (int i = 0; i < rows; ++i) {
+    const double at =
+        static_cast<double>(i) * static_cast<double>(positions.size() - 1) / std::max(rows - 1, 1);
+    sampled.push_back(positions[static_cast<std::size_t>(std::lround(at))]);
+  }
+  return sampled;
+}
+
+void Text(cv::Mat& sheet, const std::string& text, int x, int y, double size) {
+  cv::putText(sheet, text, {x, y}, cv::FONT_HERSHEY_SIMPLEX, size, {225, 225, 225}, 1, cv::LINE_AA);
+}
+
+}  // namespace
+
+Image<std::uint8_t> DisparityColours(ImageView<const float> disparity, double nearest) {
+  Image<std::uint8_t> level(disparity.width(), disparity.height(), 1);
+  for (int y = 0; y < level.height(); ++y) {
+    for (int x = 0; x < level.width(); ++x) {
+      const double share = nearest > 0.0 ? static_cast<double>(disparity.at(x, y)) / nearest : 0.0;
+      // The square root spreads the far half, where most of a scene lies.
+      level.at(x, y) = std::isfinite(share) ? static_cast<std::uint8_t>(std::lround(
+                                                  255.0 * std::sqrt(std::clamp(share, 0.0, 1.0))))
+                                            : std::uint8_t{0};
+    }
+  }
+  Image<std::uint8_t> colours(disparity.width(), disparity.height(), 3);
+  cv::Mat target = Mat(colours);
+  cv::applyColorMap(Mat(level), target, cv::COLORMAP_TURBO);
+  cv::cvtColor(target, target, cv::COLOR_BGR2RGB);
+  for (int y = 0; y < level.height(); ++y) {
+    for (int x = 0; x < level.width(); ++x) {
+      if (!std::isfinite(disparity.at(x, y))) std::fill_n(colours.pixel(x, y), 3, std::uint8_t{0});
+    }
+  }
+  return colours;
+}
+
+Image<std::uint8_t> ErrorColours(ImageView<const float> tested, ImageView<const float> truth,
+                                 double full) {
+  Image<std::uint8_t> colours(tested.width(), tested.height(), 3, 96);
+  for (int y = 0; y < tested.height(); ++y) {
+    for (int x = 0; x < tested.width(); ++x) {
+      const double error = std::log10(
+          static_cast<double>(Luminance(tested.pixel(x, y)) / Luminance(truth.pixel(x, y))));
+      if (!std::isfinite(error)) continue;
+      const double share = std::clamp(error / full, -1.0, 1.0);
+      const auto rest = static_cast<std::uint8_t>(std::lround(255.0 * (1.0 - std::abs(share))));
+      std::uint8_t* pixel = colours.pixel(x, y);
+      pixel[0] = share > 0.0 ? std::uint8_t{255} : rest;
+      pixel[1] = rest;
+      pixel[2] = share > 0.0 ? rest : std::uint8_t{255};
+    }
+  }
+  return colours;
+}
+
+Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& session,
+                                             const ContactSheetOptions& options) {
+  OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
+  if (contents.info.camera.layout != Layout::kPanorama) {
+    return Fail(ErrorKind::kData, "{}: layout: \"{}\", a contact sheet needs \"panorama\"",
+                (session / "session.json").string(), ToString(contents.info.camera.layout));
+  }
+  const std::filesystem::path views =
+      options.evaluation.views.empty() ? session / "views" : options.evaluation.views;
+  OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views));
+  if (complete.empty()) return Fail(ErrorKind::kNoInput, "{}: no complete view", views.string());
+  OMNIHDR_ASSIGN(const std::unique_ptr<Reference> reference,
+                 OpenReference(session, contents, options.evaluation.photographs));
+  OMNIHDR_ASSIGN(const Image<std::uint8_t> mask,
+                 LoadFrameMask(options.evaluation.mask, contents.info.camera));
+  const std::vector<PositionId> positions = Sampled(complete, options.rows);
+
+  // One colour scale for all rows, so that near is the same colour everywhere.
+  double nearest = 0.0;
+  for (const PositionId position : positions) {
+    OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, position));
+    nearest = std::max(nearest, Near(view.disparity));
+  }
+
+  const int width = options.cell_width;
+  const int height = width / 2;
+  std::vector<std::string> titles = {"input frame", "HDR view, tone-mapped",
+                                     "disparity: near warm, far cool"};
+  if (reference) titles.emplace_back("error: red too bright, blue too dark (2x)");
+  std::vector<Row> rows;
+  for (const PositionId position : positions) {
+    OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, position));
+    const auto frame = std::find_if(
+        contents.journal.frames.begin(), contents.journal.frames.end(),
+        [&](const FrameRecord& record) { return Value(record.frame) == view.record.reference; });
+    if (frame == contents.journal.frames.end()) {
+      return Fail(ErrorKind::kData, "{}: reference: {}, expected a frame of this session",
+                  (views / ViewDirectoryName(position) / "view.json").string(),
+                  view.record.reference);
+    }
+    const Projection output =
+        Projection::Equirectangular(view.radiance.width(), view.radiance.height());
+    OMNIHDR_ASSIGN(const Image<float> own, OwnFrameRadiance(session, contents.info, *frame, mask,
+                                                            output, view.record.orientation));
+    Row row;
+    row.label = fmt::format("position {}   exposure {:.3g} s   {} frames", Value(position),
+                            frame->exposure.EffectiveSeconds(), view.record.frames.size());
+    row.cells.push_back(
+        Shrunk(FramePicture(own, frame->exposure.EffectiveSeconds()), width, height));
+    row.cells.push_back(Shrunk(ToneMapReinhard(view.radiance, {}), width, height));
+    row.cells.push_back(view.disparity.empty()
+                            ? Image<std::uint8_t>(width, height, 3)
+                            : Shrunk(DisparityColours(view.disparity, nearest), width, height));
+    if (reference) {
+      OMNIHDR_ASSIGN(const Reference::Picture truth,
+                     reference->Render(*frame, output, view.record.orientation));
+      row.cells.push_back(
+          Shrunk(ErrorColours(view.radiance, truth.radiance, kErrorFull), width, height));
+    }
+    rows.push_back(std::move(row));
+  }
+
+  const int columns = static_cast<int>(titles.size());
+  Image<std::uint8_t> sheet(
+      columns * (width + kGap) + kGap,
+      kTitleHeight + static_cast<int>(rows.size()) * (height + kLabelHeight + kGap), 3, 32);
+  cv::Mat canvas = Mat(sheet);
+  for (int column = 0; column < columns; ++column) {
+    Text(canvas, titles[static_cast<std::size_t>(column)], kGap + column * (width + kGap), 20,
+         0.55);
+  }
+  int y = kTitleHeight;
+  for (Row& row : rows) {
+    Text(canvas, row.label, kGap, y + 15, 0.45);
+    y += kLabelHeight;
+    for (int column = 0; column < columns; ++column) {
+      Mat(row.cells[static_cast<std::size_t>(column)])
+          .copyTo(canvas(cv::Rect(kGap + column * (width + kGap), y, width, height)));
+    }
+    y += height + kGap;
+  }
+  return sheet;
+}
+
+}  // namespace omnihdr

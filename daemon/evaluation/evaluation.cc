@@ -1,0 +1,289 @@
+#include "daemon/evaluation/evaluation.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <memory>
+#include <utility>
+
+#include "core/photometry/measure.h"
+#include "core/photometry/tonemap.h"
+#include "core/quality/picture_metrics.h"
+#include "core/session/session_reader.h"
+#include "core/session/view_writer.h"
+#include "daemon/evaluation/reference.h"
+#include "daemon/evaluation/view_files.h"
+
+namespace omnihdr {
+namespace {
+
+// A trigger's place: its journal lines and, once made, its view.
+struct Place {
+  const FrameRecord* own = nullptr;  // the view's reference frame, or the first with pixels, or any
+  bool has_view = false;
+  ViewRecord view;
+  std::optional<Pose> true_pose;
+  // What the view's chain says: the place in the chain and the chain's truth length per estimated
+  // one.
+  std::optional<PoseErrors> pose;
+  double metres_per_unit = 1.0;
+};
+
+using Places = std::map<PositionId, Place>;
+
+Result<Places> ReadPlaces(const SessionContents& contents, const std::filesystem::path& views) {
+  Places places;
+  for (const FrameRecord& frame : contents.journal.frames) {
+    Place& place = places[frame.position];
+    if (place.own == nullptr ||
+        (place.own->status != FrameStatus::kOk && frame.status == FrameStatus::kOk)) {
+      place.own = &frame;
+    }
+  }
+  OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views));
+  for (const PositionId position : complete) {
+    const auto found = places.find(position);
+    if (found == places.end()) continue;  // a view of another session says nothing about this one
+    OMNIHDR_ASSIGN(found->second.view, ReadViewRecord(views, position));
+    found->second.has_view = true;
+    for (const FrameRecord& frame : contents.journal.frames) {
+      if (Value(frame.frame) == found->second.view.reference) found->second.own = &frame;
+    }
+  }
+  return places;
+}
+
+// Pose errors chain by chain, and what a chain's length unit is in metres.
+void ScorePoses(Places& places) {
+  std::map<int, std::vector<Place*>> chains;
+  for (auto& [position, place] : places) {
+    if (place.has_view && place.true_pose) chains[place.view.chain].push_back(&place);
+  }
+  for (auto& [number, chain] : chains) {
+    std::vector<Pose> estimated;
+    std::vector<Pose> truth;
+    for (const Place* place : chain) {
+      estimated.push_back(place->view.pose);
+      truth.push_back(*place->true_pose);
+    }
+    const bool fit_scale = !chain.front()->view.metric_scale;
+    const ChainErrors errors = ComparePoses(estimated, truth, fit_scale);
+    for (std::size_t i = 0; i < chain.size(); ++i) {
+      chain[i]->pose = errors.positions[i];
+      if (fit_scale) chain[i]->metres_per_unit = errors.scale;
+    }
+  }
+}
+
+// Mean distance in metres from a place to its neighbours in the journal; nothing without truth or
+// alone.
+std::optional<double> MeanBaseline(const Places& places, Places::const_iterator at) {
+  double sum = 0.0;
+  int count = 0;
+  const auto add = [&](const Place& other) {
+    if (!other.true_pose || !at->second.true_pose) return;
+    sum += (other.true_pose->translation - at->second.true_pose->translation).norm();
+    ++count;
+  };
+  if (at != places.begin()) add(std::prev(at)->second);
+  if (std::next(at) != places.end()) add(std::next(at)->second);
+  if (count == 0 || !(sum > 0.0)) return std::nullopt;
+  return sum / count;
+}
+
+struct Range {
+  float low = 0.0F;
+  float high = std::numeric_limits<float>::infinity();
+};
+
+// The radiance that the session's exposures can measure: from the usable range's low end at the
+// longest to its high end at the shortest.
+Range BracketRange(const SessionContents& contents) {
+  const MeasureOptions usable;
+  double longest = 0.0;
+  double shortest = std::numeric_limits<double>::infinity();
+  for (const FrameRecord& frame : contents.journal.frames) {
+    if (frame.status != FrameStatus::kOk) continue;
+    longest = std::max(longest, frame.exposure.EffectiveSeconds());
+    shortest = std::min(shortest, frame.exposure.EffectiveSeconds());
+  }
+  if (!(longest > 0.0)) return {};
+  Range range;
+  range.low =
+      static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_low) / longest);
+  range.high =
+      static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_high) / shortest);
+  return range;
+}
+
+RadianceScore Score(ImageView<const float> tested, ImageView<const float> truth,
+                    ImageView<const float> truth_luminance, const ComparisonArea& area) {
+  RadianceScore score;
+  score.errors = CompareRadiance(tested, truth, area);
+  Image<float> scaled(tested.width(), tested.height(), 3);
+  for (int y = 0; y < tested.height(); ++y) {
+    for (int x = 0; x < tested.width(); ++x) {
+      for (int c = 0; c < 3; ++c) {
+        scaled.at(x, y, c) = tested.at(x, y, c) * static_cast<float>(score.errors.scale);
+      }
+    }
+  }
+  const ReinhardParameters parameters = ReinhardParametersOf(truth_luminance, area);
+  const double white = parameters.white * parameters.log_average / 0.18;
+  score.psnr_mu = PsnrMu(scaled, truth, white, area);
+  score.ssim = Ssim(ReinhardDisplay(LuminanceOf(scaled), parameters),
+                    ReinhardDisplay(truth_luminance, parameters), 1.0, area, /*wraps=*/true);
+  return score;
+}
+
+bool Known(const float* rgb) {
+  return std::isfinite(rgb[0]) && std::isfinite(rgb[1]) && std::isfinite(rgb[2]);
+}
+
+Status ScorePictures(const std::filesystem::path& session, const SessionContents& contents,
+                     const ViewFiles& view, const Place& place, const Reference& reference,
+                     std::optional<double> baseline, ImageView<const std::uint8_t> mask,
+                     PositionScore& score) {
+  const int width = view.radiance.width();
+  const int height = view.radiance.height();
+  const Projection output = Projection::Equirectangular(width, height);
+  OMNIHDR_ASSIGN(const Reference::Picture truth,
+                 reference.Render(*place.own, output, view.record.orientation));
+  OMNIHDR_ASSIGN(const Image<float> own, OwnFrameRadiance(session, contents.info, *place.own, mask,
+                                                          output, view.record.orientation));
+  const Range range = BracketRange(contents);
+  ComparisonArea area = SphereArea(output);
+  Image<std::uint8_t> compared(width, height, 1);
+  Image<std::uint8_t> seen(width, height, 1);  // by the own frame
+  double wanted = 0.0;
+  double have = 0.0;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      const float* want = truth.radiance.pixel(x, y);
+      if (!Known(own.pixel(x, y))) continue;
+      seen.at(x, y) = 255;
+      if (!Known(want) || *std::max_element(want, want + 3) > range.high ||
+          Luminance(want) < range.low) {
+        continue;
+      }
+      wanted += area.Weight(y);
+      if (!Known(view.radiance.pixel(x, y))) continue;
+      have += area.Weight(y);
+      compared.at(x, y) = 255;
+    }
+  }
+  score.covered = wanted > 0.0 ? have / wanted : 0.0;
+  area.mask = compared.view();
+  const Image<float> truth_luminance = LuminanceOf(truth.radiance);
+  score.view = Score(view.radiance, truth.radiance, truth_luminance, area);
+  score.own_frame = Score(own, truth.radiance, truth_luminance, area);
+
+  if (!truth.disparity.empty() && !view.disparity.empty() && baseline) {
+    Image<float> metric(width, height, 1);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        metric.at(x, y) = view.disparity.at(x, y) / static_cast<float>(place.metres_per_unit);
+      }
+    }
+    area.mask = seen.view();
+    score.disparity = CompareDisparity(metric, truth.disparity, *baseline, area);
+  }
+  return {};
+}
+
+std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& positions) {
+  SessionScore::Mean mean;
+  double bad1 = 0.0;
+  double relative = 0.0;
+  int with_disparity = 0;
+  for (const PositionScore& p : positions) {
+    if (p.pose) {
+      mean.rotation_deg = std::max(mean.rotation_deg.value_or(0.0), p.pose->rotation_deg);
+      mean.translation_percent =
+          std::max(mean.translation_percent.value_or(0.0), p.pose->translation_percent);
+    }
+    if (!p.view || !std::isfinite(p.view->errors.log10_rmse)) continue;
+    ++mean.positions;
+    mean.view_rmse += p.view->errors.log10_rmse;
+    mean.own_rmse += p.own_frame->errors.log10_rmse;
+    mean.view_p95 += p.view->errors.log10_p95;
+    mean.own_p95 += p.own_frame->errors.log10_p95;
+    mean.view_ssim += p.view->ssim;
+    mean.own_ssim += p.own_frame->ssim;
+    mean.view_psnr_mu += p.view->psnr_mu;
+    mean.own_psnr_mu += p.own_frame->psnr_mu;
+    mean.covered += p.covered;
+    if (p.disparity && std::isfinite(p.disparity->bad1)) {
+      ++with_disparity;
+      bad1 += p.disparity->bad1;
+      relative += p.disparity->median_relative;
+    }
+  }
+  if (mean.positions == 0) return std::nullopt;
+  for (double* sum :
+       {&mean.view_rmse, &mean.own_rmse, &mean.view_p95, &mean.own_p95, &mean.view_ssim,
+        &mean.own_ssim, &mean.view_psnr_mu, &mean.own_psnr_mu, &mean.covered}) {
+    *sum /= mean.positions;
+  }
+  if (with_disparity > 0) {
+    mean.disparity_bad1 = bad1 / with_disparity;
+    mean.disparity_relative = relative / with_disparity;
+  }
+  return mean;
+}
+
+}  // namespace
+
+Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
+                                     const EvaluationOptions& options,
+                                     const std::function<void(int, int)>& progress) {
+  OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
+  if (contents.info.camera.layout != Layout::kPanorama) {
+    return Fail(ErrorKind::kData, "{}: layout: \"{}\", only \"panorama\" can be evaluated",
+                (session / "session.json").string(), ToString(contents.info.camera.layout));
+  }
+  const std::filesystem::path views = options.views.empty() ? session / "views" : options.views;
+  OMNIHDR_ASSIGN(const std::unique_ptr<Reference> reference,
+                 OpenReference(session, contents, options.photographs));
+  OMNIHDR_ASSIGN(const Image<std::uint8_t> mask, LoadFrameMask(options.mask, contents.info.camera));
+  OMNIHDR_ASSIGN(Places places, ReadPlaces(contents, views));
+  if (reference) {
+    for (auto& [position, place] : places) {
+      OMNIHDR_ASSIGN(place.true_pose, reference->TruePose(*place.own));
+    }
+    ScorePoses(places);
+  }
+
+  SessionScore score;
+  if (reference) score.reference = reference->name();
+  for (auto at = places.cbegin(); at != places.cend(); ++at) {
+    const Place& place = at->second;
+    PositionScore position;
+    position.position = at->first;
+    position.exposure = place.own->exposure;
+    position.status = place.own->status;
+    position.complete = place.has_view;
+    if (place.has_view) {
+      ++score.complete;
+      position.frames = static_cast<int>(place.view.frames.size());
+      position.chain = place.view.chain;
+      position.valid_fraction = place.view.valid_fraction;
+      position.warnings = place.view.warnings;
+      position.pose = place.pose;
+      if (reference && place.own->status == FrameStatus::kOk) {
+        OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, at->first));
+        OMNIHDR_TRY(ScorePictures(session, contents, view, place, *reference,
+                                  MeanBaseline(places, at), mask, position)
+                        .Context(fmt::format("position {}", Value(at->first))));
+      }
+    }
+    score.positions.push_back(std::move(position));
+    if (progress)
+      progress(static_cast<int>(score.positions.size()), static_cast<int>(places.size()));
+  }
+  score.mean = MeanOf(score.positions);
+  return score;
+}
+
+}  // namespace omnihdr

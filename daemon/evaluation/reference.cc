@@ -1,0 +1,26 @@
+#include "daemon/evaluation/reference.h"
+
+#include <nlohmann/json.hpp>
+#include <system_error>
+
+#include "daemon/evaluation/photographs.h"
+#include "daemon/evaluation/simulation_truth.h"
+
+namespace omnihdr {
+
+Result<std::unique_ptr<Reference>> OpenReference(const std::filesystem::path& session,
+                                                 const SessionContents& contents,
+                                                 const std::filesystem::path& photographs) {
+  if (!photographs.empty()) return OpenPhotographs(photographs, contents.info.camera);
+  const auto extra = nlohmann::json::parse(contents.info.extra_json, nullptr, false);
+  if (extra.is_object() && extra.contains("simulation")) {
+    return OpenSimulationTruth(extra["simulation"].dump(), (session / "session.json").string());
+  }
+  std::error_code error;
+  if (std::filesystem::exists(session / "reference" / "how.json", error)) {
+    return OpenPhotographs(session / "reference", contents.info.camera);
+  }
+  return std::unique_ptr<Reference>();
+}
+
+}  // namespace omnihdr
