@@ -14,7 +14,7 @@ Result<std::unique_ptr<Reference>> OpenReference(const std::filesystem::path& se
   if (!photographs.empty()) return OpenPhotographs(photographs, contents.info.camera);
   const auto extra = nlohmann::json::parse(contents.info.extra_json, nullptr, false);
   if (extra.is_object() && extra.contains("simulation")) {
-    return OpenSimulationTruth(extra["simulation"].dump(), (session / "session.json").string());
+    return OpenSimulationTruth(contents.info.extra_json, (session / "session.json").string());
   }
   std::error_code error;
   if (std::filesystem::exists(session / "reference" / "how.json", error)) {

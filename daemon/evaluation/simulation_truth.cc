@@ -6,13 +6,11 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
 
 namespace omnihdr {
 namespace {
-
-// Rays a pixel: 2×2, so that an edge is not judged by one lucky ray.
-constexpr int kSamples = 4;
 
 // `count` finite numbers of a JSON array.
 template <std::size_t count>
@@ -40,8 +38,9 @@ std::optional<Pose> PoseOf(const std::string& truth_json) {
 
 class SimulationTruth final : public Reference {
  public:
-  explicit SimulationTruth(std::shared_ptr<const sim::World> world)
+  SimulationTruth(std::shared_ptr<const sim::World> world, int samples)
       : world_(std::move(world)),
+        samples_(samples),
         name_(fmt::format("simulation ({}, seed {})", sim::ToString(world_->scene()),
                           world_->seed())) {}
 
@@ -69,7 +68,7 @@ class SimulationTruth final : public Reference {
                   Value(frame.frame));
     }
     const Pose output_pose = *camera * Pose{camera_from_output, Eigen::Vector3d::Zero()};
-    sim::RenderedView rendered = world_->Render(output_pose, output, kSamples);
+    sim::RenderedView rendered = world_->Render(output_pose, output, samples_);
     Picture picture;
     picture.radiance = std::move(rendered.radiance);
     picture.disparity = std::move(rendered.distance);
@@ -79,27 +78,18 @@ class SimulationTruth final : public Reference {
 
  private:
   std::shared_ptr<const sim::World> world_;
+  int samples_;
   std::string name_;
 };
 
 }  // namespace
 
-Result<std::unique_ptr<Reference>> OpenSimulationTruth(const std::string& simulation_json,
+Result<std::unique_ptr<Reference>> OpenSimulationTruth(const std::string& extra_json,
                                                        const std::string& session_file) {
-  const auto json = nlohmann::json::parse(simulation_json, nullptr, false);
-  const auto bad = [&](const char* expected) {
-    return Fail(ErrorKind::kData, "{}: simulation: {}, expected {}", session_file, simulation_json,
-                expected);
-  };
-  if (!json.is_object() || !json.contains("scene") || !json["scene"].is_string()) {
-    return bad("an object with \"scene\" and \"seed\"");
-  }
-  const auto scene = sim::SceneKindFromString(json["scene"].get<std::string>());
-  if (!scene) return bad("\"scene\" one of hall, yard, tunnel, street");
-  if (!json.contains("seed") || !json["seed"].is_number_unsigned())
-    return bad("\"seed\" a whole number");
-  return std::make_unique<SimulationTruth>(
-      sim::World::Create(*scene, json["seed"].get<std::uint64_t>()));
+  OMNIHDR_ASSIGN(const sim::Simulation simulation,
+                 sim::ParseSimulation(extra_json).Context(session_file));
+  return std::make_unique<SimulationTruth>(sim::World::Create(simulation.scene, simulation.seed),
+                                           simulation.samples);
 }
 
 }  // namespace omnihdr

@@ -8,9 +8,10 @@
 
 namespace omnihdr {
 
-// The simulator's own scene, rendered again without noise or clipping. `simulation_json` is the
-// value of session.json's key "simulation": {"scene": "hall", "seed": 1, ...}.
-Result<std::unique_ptr<Reference>> OpenSimulationTruth(const std::string& simulation_json,
+// The simulator's own scene, rendered again without noise or clipping. `extra_json` is an object
+// with session.json's key "simulation" (drivers/sim/simulation.h); `session_file` is for error
+// messages.
+Result<std::unique_ptr<Reference>> OpenSimulationTruth(const std::string& extra_json,
                                                        const std::string& session_file);
 
 }  // namespace omnihdr
