@@ -4,6 +4,7 @@
 #include <cstdio>
 #include <memory>
 
+#include "core/base/file.h"
 #include "daemon/cli/command.h"
 #include "daemon/evaluation/evaluation.h"
 
@@ -15,6 +16,7 @@ struct EvaluateArguments {
   std::string views;
   std::string reference;
   std::string mask;
+  std::string out;
   double ignore_bottom_percent = 0.0;
   bool require_complete = false;
   bool json = false;
@@ -32,6 +34,9 @@ Result<int> Evaluate(const EvaluateArguments& arguments) {
           fmt::print(stderr, "\revaluating {}/{}{}", done, of, done == of ? "\r\033[K" : "");
         }
       }));
+  if (!arguments.out.empty()) {
+    OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatScoreJson(score)));
+  }
   fmt::print("{}", arguments.json ? FormatScoreJson(score) : FormatScoreTable(score));
   return arguments.require_complete && score.complete < static_cast<int>(score.positions.size())
              ? 1
@@ -58,6 +63,7 @@ void AddEvaluateCommand(CLI::App& app, CommandRun& run) {
   command->add_flag("--require-complete", arguments->require_complete,
                     "Exit with 1 unless every position has its view");
   command->add_flag("--json", arguments->json, "Print one JSON object instead of a table");
+  command->add_option("--out", arguments->out, "Write the JSON object to this file as well");
   command->callback([arguments, &run] { run = [arguments] { return Evaluate(*arguments); }; });
 }
 

@@ -44,6 +44,15 @@ Image<std::uint8_t> Shrunk(Image<std::uint8_t> picture, int width, int height) {
   return small;
 }
 
+Image<float> ShrunkRadiance(const Image<float>& radiance, int width, int height) {
+  Image<float> from = radiance.Clone();
+  Image<float> small(width, height, 3);
+  cv::Mat target(height, width, CV_32FC3, small.data());
+  cv::resize(cv::Mat(from.height(), from.width(), CV_32FC3, from.data()), target, target.size(),
+             0.0, 0.0, cv::INTER_AREA);
+  return small;
+}
+
 // The input frame as its sensor saw it: linear values, shown with the sRGB curve.
 Image<std::uint8_t> FramePicture(const Image<float>& radiance, double exposure_s) {
   Image<std::uint8_t> picture(radiance.width(), radiance.height(), 3);
@@ -181,9 +190,10 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
                             : Shrunk(DisparityColours(view.disparity, nearest), width, height));
     if (reference) {
       OMNIHDR_ASSIGN(const Reference::Picture truth,
-                     reference->Render(*frame, output, view.record.orientation));
+                     reference->Render(*frame, Projection::Equirectangular(width, height),
+                                       view.record.orientation));
       row.cells.push_back(
-          Shrunk(ErrorColours(view.radiance, truth.radiance, kErrorFull), width, height));
+          ErrorColours(ShrunkRadiance(view.radiance, width, height), truth.radiance, kErrorFull));
     }
     rows.push_back(std::move(row));
   }
