@@ -1,0 +1,38 @@
+#include "drivers/all_drivers.h"
+
+#include <fmt/format.h>
+
+#include <string>
+#include <utility>
+
+namespace omnihdr {
+
+const std::vector<CameraDriver>& CameraDrivers() {
+  static const std::vector<CameraDriver> drivers{
+      {"sim", "a simulated camera in a rendered HDR world"},
+      {"replay", "a recorded session as a camera"},
+  };
+  return drivers;
+}
+
+Result<CameraOptions> DefaultCameraOptions(std::string_view driver) {
+  if (driver == "sim") return CameraOptions(sim::SimCameraOptions{});
+  if (driver == "replay") return CameraOptions(ReplayOptions{});
+  std::string known;
+  for (const CameraDriver& each : CameraDrivers()) {
+    known += fmt::format("{}{}", known.empty() ? "" : ", ", each.name);
+  }
+  return Fail(ErrorKind::kConfig, "camera driver: {}: expected one of {}", driver, known);
+}
+
+Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
+  if (const auto* sim_options = std::get_if<sim::SimCameraOptions>(&options)) {
+    OMNIHDR_TRY(sim_options->Validate().Context("camera sim"));
+    return std::unique_ptr<Camera>(std::make_unique<sim::SimCamera>(*sim_options));
+  }
+  const auto& replay_options = std::get<ReplayOptions>(options);
+  OMNIHDR_TRY(replay_options.Validate().Context("camera replay"));
+  return std::unique_ptr<Camera>(std::make_unique<ReplayCamera>(replay_options));
+}
+
+}  // namespace omnihdr
