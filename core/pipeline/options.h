@@ -35,7 +35,9 @@ struct PipelineOptions {
   // [pose]
   double min_baseline_ratio = 0.002;  // below this (baseline over median distance) a pair is a pure rotation
   // [merge]
-  double consistency_sigma = 0.12;  // log10 disagreement at which another view's sample is half trusted
+  // log10 disagreement with the own view, beyond noise and misregistration, at which another view's
+  // sample counts half
+  double consistency_sigma = 0.06;
   Status Validate() const;  // kConfig error naming the option and its range
 };
 

@@ -1,0 +1,500 @@
+#include "core/pipeline/session_processor.h"
+
+#include <algorithm>
+#include <chrono>
+#include <deque>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include "core/base/crc32c.h"
+#include "core/base/file.h"
+#include "core/image/image_io.h"
+#include "core/photometry/measure.h"
+#include "core/pipeline/view_files.h"
+#include "core/pipeline/view_pipeline.h"
+#include "core/session/session_reader.h"
+#include "core/session/view_writer.h"
+
+namespace omnihdr {
+namespace {
+
+using FramesByPosition = std::map<std::int64_t, std::vector<FrameRecord>>;
+
+double SecondsSince(std::chrono::steady_clock::time_point start) {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+Result<Image<std::uint8_t>> LoadMask(const std::string& file, const CameraDescription& camera) {
+  OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(file));
+  if (decoded.width() != camera.width || decoded.height() != camera.height) {
+    return Fail(ErrorKind::kData, "{}: mask of {}x{}, expected the frames' size {}x{}", file,
+                decoded.width(), decoded.height(), camera.width, camera.height);
+  }
+  Image<std::uint8_t> mask(camera.width, camera.height);
+  std::visit(
+      [&mask](const auto& image) {
+        const int shift = sizeof(image.data()[0]) == 2 ? 8 : 0;
+        for (int y = 0; y < mask.height(); ++y) {
+          for (int x = 0; x < mask.width(); ++x) {
+            mask.at(x, y) = static_cast<std::uint8_t>(image.pixel(x, y)[0] >> shift);
+          }
+        }
+      },
+      decoded.pixels);
+  return mask;
+}
+
+// Of frames merged at one position, the one that stands for it: the exposure in the middle.
+const FrameRecord& ReferenceOf(const std::vector<const FrameRecord*>& frames) {
+  std::vector<const FrameRecord*> sorted = frames;
+  std::stable_sort(sorted.begin(), sorted.end(), [](const FrameRecord* a, const FrameRecord* b) {
+    return a->exposure.EffectiveSeconds() < b->exposure.EffectiveSeconds();
+  });
+  return *sorted[sorted.size() / 2];
+}
+
+struct LoadedPosition {
+  PositionId position{};
+  Measurement measurement;
+  std::vector<FrameId> frames;
+  FrameRecord reference;
+};
+
+class SessionProcessorImpl final : public SessionProcessor {
+ public:
+  SessionProcessorImpl(std::filesystem::path session, std::filesystem::path output,
+                       const PipelineOptions& options, ProcessorCallbacks callbacks,
+                       SessionInfo info)
+      : session_(std::move(session)),
+        output_(std::move(output)),
+        views_(output_ / "views"),
+        options_(options),
+        callbacks_(std::move(callbacks)),
+        info_(std::move(info)),
+        follower_(session_) {}
+
+  Status Prepare() {
+    const CameraDescription& camera = info_.camera;
+    if (camera.layout == Layout::kRig) {
+      return Fail(ErrorKind::kData,
+                  "{}: camera.layout: \"rig\": stacked sensor frames cannot be processed by this "
+                  "version, expected \"panorama\" (or \"perspective\" with mode temporal)",
+                  (session_ / "session.json").string());
+    }
+    if (camera.layout == Layout::kPerspective && options_.mode == ProcessMode::kSpatiotemporal) {
+      return Fail(ErrorKind::kData,
+                  "{}: camera.layout: \"perspective\" can only be processed in mode temporal",
+                  (session_ / "session.json").string());
+    }
+    is_temporal_ = options_.mode == ProcessMode::kTemporal ||
+                   (options_.mode == ProcessMode::kAuto && camera.layout == Layout::kPerspective);
+    if (!options_.mask_file.empty()) {
+      OMNIHDR_ASSIGN(mask_, LoadMask(options_.mask_file, camera));
+    }
+    std::error_code error;
+    std::filesystem::create_directories(views_, error);
+    if (error) {
+      return Fail(ErrorKind::kCannotCreate, "{}: {}", views_.string(), error.message());
+    }
+    OMNIHDR_TRY(RemoveTemporaryViews(views_));
+    OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views_));
+    for (const PositionId position : complete) complete_.insert(Value(position));
+    if (!is_temporal_) {
+      OMNIHDR_ASSIGN(pipeline_, ViewPipeline::Create(options_));
+    }
+    return {};
+  }
+
+  Result<Progress> Step() override {
+    OMNIHDR_TRY(WriteWaiting());
+    OMNIHDR_TRY(ReadJournal());
+    const std::optional<std::int64_t> position = NextReady();
+    if (!position) return Progress::kNothingNew;
+    OMNIHDR_TRY(ProcessPosition(*position));
+    return Progress::kWorked;
+  }
+
+  Status Finish() override {
+    at_end_ = true;
+    for (;;) {
+      OMNIHDR_ASSIGN(const Progress progress, Step());
+      if (progress == Progress::kNothingNew) break;
+    }
+    if (const std::optional<std::string> torn = follower_.TornTail()) Warn(*torn);
+    if (pipeline_ != nullptr) {
+      for (FinishedView& view : pipeline_->Finish(WantView())) Enqueue(std::move(view), 0.0);
+      references_.clear();
+    }
+    return WriteWaiting();
+  }
+
+  Counts counts() const override {
+    Counts c = counts_;
+    c.views_complete = static_cast<int>(complete_.size());
+    c.backlog = static_cast<int>(pending_.size());
+    return c;
+  }
+
+ private:
+  struct Waiting {
+    FinishedView view;
+    std::optional<TemporalView> temporal;
+    ViewContext context;
+    ViewDone done;
+  };
+
+  void Warn(const std::string& message) const {
+    if (callbacks_.warning) callbacks_.warning(message);
+  }
+
+  ViewPipeline::WantView WantView() const {
+    return [this](PositionId position) { return !complete_.contains(Value(position)); };
+  }
+
+  Status ReadJournal() {
+    OMNIHDR_ASSIGN(std::vector<FrameRecord> records, follower_.ReadNew());
+    const std::vector<std::string>& warnings = follower_.warnings();
+    for (; warnings_told_ < warnings.size(); ++warnings_told_) Warn(warnings[warnings_told_]);
+    for (FrameRecord& record : records) {
+      const std::int64_t position = Value(record.position);
+      if (last_taken_ && position <= *last_taken_) {
+        Warn(fmt::format("frame {}: position {} came after position {} was processed: not used",
+                         Value(record.frame), position, *last_taken_));
+        continue;
+      }
+      pending_[position].push_back(std::move(record));
+    }
+    return {};
+  }
+
+  // The lowest position of which nothing more is to come.
+  std::optional<std::int64_t> NextReady() const {
+    if (pending_.empty()) return std::nullopt;
+    const auto& [position, frames] = *pending_.begin();
+    const int expected = info_.bracket ? info_.bracket->frames_per_position : 1;
+    if (at_end_ || pending_.size() > 1 || static_cast<int>(frames.size()) >= expected) {
+      return position;
+    }
+    return std::nullopt;
+  }
+
+  Status ProcessPosition(std::int64_t position) {
+    if (is_temporal_) {
+      if (!complete_.contains(position)) OMNIHDR_TRY(ProcessTemporal(position));
+      Take(position);
+      return {};
+    }
+    if (!started_) OMNIHDR_TRY(Start());
+    if (!pending_.contains(position)) return {};  // skipped: already done
+    std::optional<LoadedPosition> loaded = Load(pending_.at(position), true);
+    Take(position);
+    if (!loaded) return {};
+    ViewContext context = ContextOf(loaded->reference);
+    references_[position] = context;
+    PositionInput input;
+    input.position = PositionId{position};
+    input.measurement = std::move(loaded->measurement);
+    input.frames = std::move(loaded->frames);
+    input.reference = loaded->reference.frame;
+    input.odometer_m = loaded->reference.odometer_m;
+    input.prior = loaded->reference.pose;
+    std::optional<FinishedView> finished = pipeline_->Push(std::move(input), WantView());
+    if (finished) {
+      Enqueue(std::move(*finished), pipeline_->last_pose_s());
+      return WriteWaiting();
+    }
+    return {};
+  }
+
+  void Take(std::int64_t position) {
+    pending_.erase(position);
+    last_taken_ = position;
+  }
+
+  // The first time there is work: where to begin. Positions whose views are complete are only gone
+  // through as far as the first missing view depends on them.
+  Status Start() {
+    started_ = true;
+    std::vector<std::int64_t> positions;
+    for (const auto& [position, frames] : pending_) {
+      const bool usable = std::any_of(frames.begin(), frames.end(), [](const FrameRecord& f) {
+        return f.status == FrameStatus::kOk;
+      });
+      if (usable) positions.push_back(position);
+    }
+    const auto missing = std::find_if(positions.begin(), positions.end(), [this](std::int64_t p) {
+      return !complete_.contains(p);
+    });
+    if (missing == positions.begin()) return {};
+    for (const std::int64_t p : positions) {
+      if (complete_.contains(p)) Tell(p);
+    }
+    if (missing == positions.end() && at_end_) {
+      pending_.clear();
+      return {};
+    }
+    const auto missing_index = missing - positions.begin();
+    // The latest state from which everything the missing view depends on is made again.
+    const std::ptrdiff_t latest = missing_index - 1 - ViewPipeline::kWarmUpPositions;
+    for (std::ptrdiff_t k = latest; k >= 0; --k) {
+      const std::int64_t candidate = positions[static_cast<std::size_t>(k)];
+      Result<ViewRecord> record = ReadViewRecord(views_, PositionId{candidate});
+      if (!record || record->resume_json.empty()) continue;
+      const nlohmann::json state = nlohmann::json::parse(record->resume_json, nullptr, false);
+      if (!state.is_object() || !state.contains("after") || !state["after"].is_number_integer()) {
+        continue;
+      }
+      const auto after = state["after"].get<std::int64_t>();
+      const auto after_it = std::find(positions.begin(), positions.end(), after);
+      if (after_it == positions.end() || after_it - positions.begin() > latest) continue;
+      if (!RestoreAt(record->resume_json)) break;  // state of another version: from the beginning
+      for (auto it = positions.begin(); it <= after_it; ++it) {
+        pending_.erase(*it);
+        last_taken_ = *it;
+      }
+      return {};
+    }
+    return {};
+  }
+
+  bool RestoreAt(const std::string& resume_json) {
+    Status restored = pipeline_->Restore(resume_json);
+    if (restored) {
+      for (const PositionId position : pipeline_->RestorePositions()) {
+        const auto it = pending_.find(Value(position));
+        std::optional<LoadedPosition> loaded;
+        if (it != pending_.end()) loaded = Load(it->second, false);
+        if (!loaded) {
+          restored = Fail(ErrorKind::kData, "position {}: its frames are gone", Value(position));
+          break;
+        }
+        pipeline_->Rewarm(position, loaded->measurement);
+      }
+    }
+    if (restored) return true;
+    Warn(fmt::format("cannot continue from a saved state ({}): starting from the first position",
+                     restored.error().message));
+    Result<std::unique_ptr<ViewPipeline>> fresh = ViewPipeline::Create(options_);
+    if (fresh) pipeline_ = std::move(*fresh);
+    return false;
+  }
+
+  void Tell(std::int64_t position) {
+    if (!told_.insert(position).second || !callbacks_.view_done) return;
+    ViewDone done;
+    done.position = PositionId{position};
+    done.already_complete = true;
+    callbacks_.view_done(done);
+  }
+
+  ViewContext ContextOf(const FrameRecord& reference) const {
+    ViewContext context;
+    context.mode = is_temporal_ ? "temporal" : "spatiotemporal";
+    context.reference_exposure_s = reference.exposure.EffectiveSeconds();
+    context.camera = info_.camera.model;
+    if (!info_.camera.serial.empty()) context.camera += " " + info_.camera.serial;
+    context.preview_quality = options_.preview_quality;
+    return context;
+  }
+
+  // Reads and merges a position's usable frames; nothing when there is none. `count`: report what is
+  // wrong and count the position (not when it is read a second time to restore).
+  std::optional<LoadedPosition> Load(const std::vector<FrameRecord>& records, bool count) {
+    std::vector<DecodedImage> images;
+    std::vector<const FrameRecord*> usable;
+    for (const FrameRecord& record : records) {
+      if (record.status != FrameStatus::kOk) continue;
+      Result<DecodedImage> image = LoadFrame(record);
+      if (!image) {
+        if (count) {
+          Warn(fmt::format("frame {}: {}: frame not used", Value(record.frame),
+                           image.error().message));
+        }
+        continue;
+      }
+      images.push_back(std::move(*image));
+      usable.push_back(&record);
+    }
+    if (usable.empty()) {
+      if (count) {
+        ++counts_.positions_without_pixels;
+        Warn(fmt::format("position {}: no usable frame, no view", Value(records.front().position)));
+      }
+      return std::nullopt;
+    }
+    std::vector<ExposedFrame> exposed;
+    for (std::size_t k = 0; k < usable.size(); ++k) {
+      exposed.push_back({&images[k], usable[k]->exposure});
+    }
+    MeasureOptions measure;
+    measure.value_low = options_.value_low;
+    measure.value_high = options_.value_high;
+    measure.noise = options_.noise;
+    const CameraDescription& camera = info_.camera;
+    const Projection projection = camera.layout == Layout::kPanorama
+                                      ? camera.PanoramaProjection()
+                                      : Projection::Equirectangular(camera.width, camera.height);
+    Result<Measurement> measurement =
+        Measure(exposed, projection, info_.response, camera.bits, mask_.view(), measure);
+    if (!measurement) {
+      if (count) {
+        ++counts_.positions_without_pixels;
+        Warn(fmt::format("position {}: {}: no view", Value(records.front().position),
+                         measurement.error().message));
+      }
+      return std::nullopt;
+    }
+    LoadedPosition loaded;
+    loaded.position = records.front().position;
+    loaded.measurement = std::move(*measurement);
+    for (const FrameRecord* record : usable) loaded.frames.push_back(record->frame);
+    loaded.reference = ReferenceOf(usable);
+    if (count) ++counts_.positions_seen;
+    return loaded;
+  }
+
+  Result<DecodedImage> LoadFrame(const FrameRecord& record) const {
+    const std::filesystem::path path = session_ / record.file;
+    OMNIHDR_ASSIGN(const std::vector<std::byte> bytes, ReadFile(path));
+    if (record.crc32c) {
+      const std::uint32_t crc = Crc32c(bytes);
+      if (crc != *record.crc32c) {
+        return Fail(ErrorKind::kData, "{}: crc32c {}, expected {} as journaled", path.string(), crc,
+                    *record.crc32c);
+      }
+    }
+    OMNIHDR_ASSIGN(DecodedImage image, DecodeImage(bytes, path.string()));
+    if (image.width() != info_.camera.width || image.height() != info_.camera.height) {
+      return Fail(ErrorKind::kData, "{}: {}x{}, expected {}x{} as session.json says", path.string(),
+                  image.width(), image.height(), info_.camera.width, info_.camera.height);
+    }
+    return image;
+  }
+
+  Status ProcessTemporal(std::int64_t position) {
+    const auto start = std::chrono::steady_clock::now();
+    std::optional<LoadedPosition> loaded = Load(pending_.at(position), true);
+    if (!loaded) return {};
+    Waiting waiting;
+    waiting.context = ContextOf(loaded->reference);
+    TemporalView& view = waiting.temporal.emplace();
+    view.position = PositionId{position};
+    view.frames = loaded->frames;
+    view.reference = loaded->reference.frame;
+    view.is_latlong = info_.camera.layout == Layout::kPanorama;
+    if (loaded->frames.size() == 1) {
+      view.warnings.push_back("one exposure at this position: no range gained");
+    }
+    if (view.is_latlong) {
+      const int width = options_.output_width != 0
+                            ? options_.output_width
+                            : std::min(info_.camera.width / 2 * 2, 8192);
+      view.merged = MergeViews({&loaded->measurement, Pose{}, nullptr}, nullptr, nullptr, {},
+                               Eigen::Quaterniond::Identity(), width, MergeOptions{});
+    } else {
+      view.merged = ViewOfMeasurement(loaded->measurement);
+    }
+    waiting.done.position = view.position;
+    waiting.done.merge_s = SecondsSince(start);
+    waiting.done.warnings = view.warnings;
+    waiting_.push_back(std::move(waiting));
+    return WriteWaiting();
+  }
+
+  void Enqueue(FinishedView view, double pose_s) {
+    const std::int64_t position = Value(view.pose.position);
+    if (view.made) {
+      Waiting waiting;
+      waiting.context = references_[position];
+      waiting.done.position = view.pose.position;
+      waiting.done.pose_s = pose_s;
+      waiting.done.stereo_s = view.stereo_s;
+      waiting.done.merge_s = view.merge_s;
+      waiting.done.warnings = view.warnings;
+      waiting.view = std::move(view);
+      waiting_.push_back(std::move(waiting));
+    }
+    references_.erase(position);
+  }
+
+  // Writes finished views in order; one that cannot be written stays first in line.
+  Status WriteWaiting() {
+    while (!waiting_.empty()) {
+      Waiting& waiting = waiting_.front();
+      const auto start = std::chrono::steady_clock::now();
+      Status written = WriteView(views_, waiting.done.position, false,
+                                 [&waiting](const std::filesystem::path& directory) -> Status {
+                                   if (waiting.temporal) {
+                                     return WriteTemporalViewFiles(directory, *waiting.temporal,
+                                                                   waiting.context);
+                                   }
+                                   return WriteViewFiles(directory, waiting.view, waiting.context);
+                                 });
+      if (!written) {
+        return Forward(written.error(), fmt::format("view {}", Value(waiting.done.position)));
+      }
+      waiting.done.write_s = SecondsSince(start);
+      complete_.insert(Value(waiting.done.position));
+      told_.insert(Value(waiting.done.position));
+      ++counts_.views_written;
+      AppendTiming(waiting.done);
+      if (callbacks_.view_done) callbacks_.view_done(waiting.done);
+      waiting_.pop_front();
+    }
+    return {};
+  }
+
+  // Timings differ from run to run and views must not: they have a file of their own. Losing a line of it
+  // costs nothing.
+  void AppendTiming(const ViewDone& done) const {
+    const std::string line = fmt::format(
+        "{{\"position\": {}, \"seconds\": {{\"pose\": {:.4f}, \"stereo\": {:.4f}, \"merge\": {:.4f}, "
+        "\"write\": {:.4f}}}}}\n",
+        Value(done.position), done.pose_s, done.stereo_s, done.merge_s, done.write_s);
+    if (std::FILE* file = std::fopen((output_ / "timings.jsonl").c_str(), "ae")) {
+      std::fputs(line.c_str(), file);
+      std::fclose(file);
+    }
+  }
+
+  const std::filesystem::path session_;
+  const std::filesystem::path output_;
+  const std::filesystem::path views_;
+  const PipelineOptions options_;
+  const ProcessorCallbacks callbacks_;
+  const SessionInfo info_;
+  JournalFollower follower_;
+  bool is_temporal_ = false;
+  bool started_ = false;
+  bool at_end_ = false;
+  Image<std::uint8_t> mask_;
+  std::unique_ptr<ViewPipeline> pipeline_;
+  FramesByPosition pending_;
+  std::optional<std::int64_t> last_taken_;
+  std::map<std::int64_t, ViewContext> references_;  // of positions inside the pipeline
+  std::set<std::int64_t> complete_;
+  std::set<std::int64_t> told_;
+  std::deque<Waiting> waiting_;
+  std::size_t warnings_told_ = 0;
+  Counts counts_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<SessionProcessor>> SessionProcessor::Open(
+    const std::filesystem::path& session, const std::filesystem::path& output,
+    const PipelineOptions& options, ProcessorCallbacks callbacks) {
+  OMNIHDR_TRY(options.Validate());
+  const std::filesystem::path info_path = session / "session.json";
+  OMNIHDR_ASSIGN(const std::string text, ReadTextFile(info_path));
+  OMNIHDR_ASSIGN(SessionInfo info, ParseSessionInfo(text, info_path.string()));
+  auto processor = std::make_unique<SessionProcessorImpl>(
+      session, output.empty() ? session : output, options, std::move(callbacks), std::move(info));
+  OMNIHDR_TRY(processor->Prepare());
+  return processor;
+}
+
+}  // namespace omnihdr

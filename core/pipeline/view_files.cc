@@ -1,0 +1,166 @@
+#include "core/pipeline/view_files.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "core/base/file.h"
+#include "core/image/exr.h"
+#include "core/image/image_io.h"
+#include "core/photometry/tonemap.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr float kLargestSafeHalf = 60000.0F;
+
+struct RadianceStatistics {
+  double least = 0.0;
+  double largest = 0.0;  // over everything written, clipped pixels included
+  double valid_fraction = 0.0;
+};
+
+// `is_latlong`: rows count by their solid angle.
+RadianceStatistics Statistics(const MergedView& view, bool is_latlong) {
+  RadianceStatistics s;
+  bool any = false;
+  double valid = 0.0;
+  double total = 0.0;
+  const int width = view.radiance.width();
+  const int height = view.radiance.height();
+  for (int y = 0; y < height; ++y) {
+    const double weight = is_latlong ? std::sin(std::numbers::pi * (y + 0.5) / height) : 1.0;
+    int valid_in_row = 0;
+    for (int x = 0; x < width; ++x) {
+      const auto origin = static_cast<PixelOrigin>(view.origin.at(x, y));
+      if (origin == PixelOrigin::kNoData) continue;
+      const float* rgb = view.radiance.pixel(x, y);
+      const double luminance = Luminance(rgb);
+      s.largest = std::max({s.largest, double{rgb[0]}, double{rgb[1]}, double{rgb[2]}});
+      if (origin == PixelOrigin::kClipped) continue;
+      s.least = any ? std::min(s.least, luminance) : luminance;
+      any = true;
+      ++valid_in_row;
+    }
+    valid += weight * valid_in_row;
+    total += weight * width;
+  }
+  s.valid_fraction = total > 0.0 ? valid / total : 0.0;
+  return s;
+}
+
+Image<float> AsFloat(const Image<std::uint8_t>& image) {
+  Image<float> out(image.width(), image.height());
+  std::transform(image.values().begin(), image.values().end(), out.values().begin(),
+                 [](std::uint8_t v) { return static_cast<float>(v); });
+  return out;
+}
+
+Status WritePictures(const std::filesystem::path& directory, const MergedView& view,
+                     PositionId position, bool is_latlong, bool with_disparity,
+                     const ViewContext& context, ViewRecord* record) {
+  const RadianceStatistics statistics = Statistics(view, is_latlong);
+  record->radiance_min = statistics.least;
+  record->radiance_max = statistics.largest;
+  record->valid_fraction = statistics.valid_fraction;
+  const bool needs_float = statistics.largest > kLargestSafeHalf;
+  if (needs_float) {
+    record->warnings.push_back(
+        fmt::format("radiance up to {:.0f} exceeds half precision: stored as float",
+                    statistics.largest));
+  }
+  ExrAttributes attributes;
+  attributes.latlong = is_latlong;
+  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
+  attributes.strings["omnihdrPosition"] = fmt::format("{}", Value(position));
+  if (!context.camera.empty()) attributes.strings["omnihdrCamera"] = context.camera;
+  ExrAttributes radiance_attributes = attributes;
+  radiance_attributes.floats["expTime"] = context.reference_exposure_s;
+  const ExrPixelType type = needs_float ? ExrPixelType::kFloat : ExrPixelType::kHalf;
+  const Image<float> origin = AsFloat(view.origin);
+  OMNIHDR_TRY(WriteExr(directory / "radiance.exr",
+                       {{"R", view.radiance, type, 0},
+                        {"G", view.radiance, type, 1},
+                        {"B", view.radiance, type, 2},
+                        {"origin", origin, ExrPixelType::kHalf, 0}},
+                       radiance_attributes, ExrCompression::kPiz));
+  if (with_disparity) {
+    OMNIHDR_TRY(WriteExr(directory / "disparity.exr",
+                         {{"disparity", view.disparity, ExrPixelType::kFloat, 0},
+                          {"confidence", view.confidence, ExrPixelType::kHalf, 0}},
+                         attributes, ExrCompression::kZip));
+  }
+  const Image<std::uint8_t> preview = ToneMapReinhard(view.radiance, ToneMapOptions{});
+  OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
+                 EncodeJpeg(preview, context.preview_quality, is_latlong));
+  OMNIHDR_TRY(WriteFileAtomic(directory / "preview.jpg", jpeg));
+  return WriteFileAtomic(directory / "view.json", FormatViewRecord(*record));
+}
+
+std::vector<std::uint64_t> Numbers(const std::vector<FrameId>& frames) {
+  std::vector<std::uint64_t> numbers;
+  for (const FrameId frame : frames) numbers.push_back(Value(frame));
+  return numbers;
+}
+
+}  // namespace
+
+ViewRecord RecordOfView(const FinishedView& view, const std::string& mode) {
+  ViewRecord record;
+  record.position = view.pose.position;
+  record.pose = view.pose.world_from_camera;
+  record.metric_scale = view.pose.metric;
+  record.chain = view.pose.chain;
+  record.chain_reason = view.pose.chain_reason;
+  record.orientation = view.camera_from_output;
+  record.frames = Numbers(view.frames);
+  record.reference = Value(view.reference);
+  record.mode = mode;
+  record.warnings = view.warnings;
+  record.resume_json = view.resume_json;
+  return record;
+}
+
+Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView& view,
+                      const ViewContext& context) {
+  ViewRecord record = RecordOfView(view, context.mode);
+  return WritePictures(directory, view.merged, record.position, true, true, context, &record);
+}
+
+Status WriteTemporalViewFiles(const std::filesystem::path& directory, const TemporalView& view,
+                              const ViewContext& context) {
+  ViewRecord record;
+  record.position = view.position;
+  record.frames = Numbers(view.frames);
+  record.reference = Value(view.reference);
+  record.mode = context.mode;
+  record.warnings = view.warnings;
+  return WritePictures(directory, view.merged, view.position, view.is_latlong, false, context,
+                       &record);
+}
+
+MergedView ViewOfMeasurement(const Measurement& m) {
+  MergedView view;
+  const int width = m.radiance.width();
+  const int height = m.radiance.height();
+  view.radiance = Image<float>(width, height, 3);
+  view.origin = Image<std::uint8_t>(width, height);
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      std::copy_n(m.radiance.pixel(x, y), 3, view.radiance.pixel(x, y));
+      const std::uint8_t flags = m.flags.at(x, y);
+      PixelOrigin origin = PixelOrigin::kMeasured;
+      if ((flags & kMasked) != 0) {
+        origin = PixelOrigin::kNoData;
+      } else if ((flags & kSaturatedAny) != 0) {
+        origin = PixelOrigin::kClipped;
+      } else if ((flags & kDarkAny) == kDarkAny) {
+        origin = PixelOrigin::kDark;
+      }
+      view.origin.at(x, y) = static_cast<std::uint8_t>(origin);
+    }
+  }
+  return view;
+}
+
+}  // namespace omnihdr

@@ -1,0 +1,277 @@
+#include "core/pipeline/view_pipeline.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <numbers>
+
+#include "core/stereo/fuse.h"
+#include "core/stereo/sweep.h"
+
+namespace omnihdr {
+namespace {
+
+// A view cannot wait for more neighbours than this after its own position.
+constexpr std::size_t kLookahead = 2;
+// A prepared stereo view is made anew when its pose has been corrected by more than this.
+constexpr double kStaleRotation = 5e-4;
+
+class Stopwatch {
+ public:
+  double Seconds() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
+};
+
+Eigen::Vector3d OffsetInWorld(const Pose& from, const Pose& to) {
+  return to.translation - from.translation;
+}
+
+}  // namespace
+
+Result<std::unique_ptr<ViewPipeline>> ViewPipeline::Create(const PipelineOptions& options) {
+  OMNIHDR_TRY(options.Validate());
+  std::unique_ptr<ViewPipeline> pipeline(new ViewPipeline(options));
+  PoseOptions pose;
+  pose.min_baseline_ratio = options.min_baseline_ratio;
+  OMNIHDR_ASSIGN(pipeline->tracker_, PoseTracker::Create(pose));
+  return pipeline;
+}
+
+std::vector<PositionId> ViewPipeline::RestorePositions() const {
+  std::vector<PositionId> positions;
+  for (const PoseEstimate& pose : tracker_->Window()) positions.push_back(pose.position);
+  return positions;
+}
+
+void ViewPipeline::ExtendScale(const Measurement& m) {
+  const float brightest = *std::max_element(m.saturation.begin(), m.saturation.end());
+  lowest_floor_ = lowest_floor_ == 0.0F ? m.noise_floor : std::min(lowest_floor_, m.noise_floor);
+  brightest_ = std::max(brightest_, brightest);
+  const LogScale scale = LogScale::For(lowest_floor_, brightest_);
+  if (scale == scale_) return;
+  scale_ = scale;
+  for (Slot& slot : slots_) slot.stereo_view = StereoView{};
+}
+
+void ViewPipeline::UpdatePoses() {
+  for (const PoseEstimate& pose : tracker_->Window()) {
+    for (Slot& slot : slots_) {
+      if (slot.input.position == pose.position) slot.pose = pose;
+    }
+  }
+}
+
+const StereoView& ViewPipeline::StereoViewOf(std::size_t index) {
+  Slot& slot = slots_[index];
+  const Eigen::Quaterniond& rotation = slot.pose.world_from_camera.rotation;
+  if (slot.stereo_view.width == 0 ||
+      slot.stereo_view_rotation.angularDistance(rotation) > kStaleRotation) {
+    slot.stereo_view =
+        MakeStereoView(slot.input.measurement, rotation, 2 * options_.stereo_width, scale_);
+    slot.stereo_view_rotation = rotation;
+  }
+  return slot.stereo_view;
+}
+
+std::vector<std::size_t> ViewPipeline::Neighbours(std::size_t index, int reach) const {
+  std::vector<std::size_t> neighbours;
+  const Slot& slot = slots_[index];
+  for (int distance = 1; distance <= reach; ++distance) {
+    for (const int sign : {-1, 1}) {
+      const auto k = static_cast<std::ptrdiff_t>(index) + sign * distance;
+      if (k < 0 || k >= static_cast<std::ptrdiff_t>(slots_.size())) continue;
+      const Slot& other = slots_[static_cast<std::size_t>(k)];
+      if (other.pose.chain == slot.pose.chain) neighbours.push_back(static_cast<std::size_t>(k));
+    }
+  }
+  return neighbours;
+}
+
+double ViewPipeline::SearchLimit(std::size_t index,
+                                 const std::vector<std::size_t>& neighbours) const {
+  const Pose& pose = slots_[index].pose.world_from_camera;
+  double shortest = 0.0;
+  double nearest = slots_[index].pose.max_inverse_distance;
+  for (const std::size_t n : neighbours) {
+    const double baseline = OffsetInWorld(pose, slots_[n].pose.world_from_camera).norm();
+    shortest = shortest == 0.0 ? baseline : std::min(shortest, baseline);
+    nearest = std::max(nearest, slots_[n].pose.max_inverse_distance);
+  }
+  const double limit =
+      std::sin(Radians::FromDegrees(options_.max_parallax_deg).value()) / shortest;
+  // Features miss the nearest surfaces (textureless, seen at a slant): search somewhat nearer.
+  return nearest > 0.0 ? std::min(limit, 1.6 * nearest) : limit;
+}
+
+std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
+  const Pose& pose = slots_[index].pose.world_from_camera;
+  std::vector<std::size_t> indices = Neighbours(index, options_.neighbours);
+  double largest = 0.0;
+  for (const std::size_t n : indices) {
+    largest = std::max(largest, OffsetInWorld(pose, slots_[n].pose.world_from_camera).norm());
+  }
+  std::erase_if(indices, [&](std::size_t n) {
+    const double baseline = OffsetInWorld(pose, slots_[n].pose.world_from_camera).norm();
+    return baseline == 0.0 || baseline < 0.05 * largest;
+  });
+  if (indices.empty()) return nullptr;
+  std::vector<SweepNeighbour> neighbours;
+  for (const std::size_t n : indices) {
+    neighbours.push_back(
+        {&StereoViewOf(n),
+         OffsetInWorld(pose, slots_[n].pose.world_from_camera).cast<float>()});
+  }
+  SweepOptions sweep;
+  sweep.labels = options_.labels;
+  sweep.max_disparity = SearchLimit(index, indices);
+  const StereoView& reference = StereoViewOf(index);
+  const CostVolume volume = SweepCosts(reference, neighbours, sweep);
+  return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
+}
+
+FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
+  Slot& slot = slots_[index];
+  FinishedView view;
+  view.pose = slot.pose;
+  view.reference = slot.input.reference;
+  view.frames = slot.input.frames;
+  view.made = want(slot.input.position);
+
+  const Stopwatch stereo_time;
+  slot.raw = MatchSlot(index);
+  Image<std::uint8_t> brightness;
+  if (slot.raw != nullptr && view.made) {
+    std::vector<NeighbourMap> maps;
+    std::shared_ptr<DisparityMap> ahead;
+    for (const std::size_t n : Neighbours(index, options_.neighbours)) {
+      const DisparityMap* map = slots_[n].raw.get();
+      if (n == index + 1) {
+        ahead = MatchSlot(n);  // provisional: its own later neighbours are not there yet
+        map = ahead.get();
+      }
+      if (map == nullptr) continue;
+      maps.push_back({map, OffsetInWorld(slot.pose.world_from_camera,
+                                         slots_[n].pose.world_from_camera)
+                               .cast<float>()});
+    }
+    FuseOptions fuse;
+    fuse.tolerance = 1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) /
+                     (options_.labels - 1);
+    slot.fused = std::make_shared<DisparityMap>(FuseDisparity(*slot.raw, maps, fuse));
+    brightness = MapBrightness(StereoViewOf(index));
+    FillHoles(brightness, FillOptions{}, slot.fused.get());
+  }
+  view.stereo_s = stereo_time.Seconds();
+
+  if (slot.raw == nullptr) {
+    view.warnings.push_back(slots_.size() == 1 && view.pose.chain_reason.empty()
+                                ? "no other position to compare with: disparity unknown"
+                                : "no neighbouring position with a baseline: disparity unknown");
+  }
+  if (!view.pose.chain_reason.empty()) {
+    view.warnings.push_back("new chain of positions: " + view.pose.chain_reason);
+  }
+  if (!view.made) return view;
+
+  const Stopwatch merge_time;
+  std::vector<MergeSource> others;
+  for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) {
+    const Slot& other = slots_[n];
+    // Another place without a disparity to reach it through would only ghost.
+    const double baseline = OffsetInWorld(slot.pose.world_from_camera, other.pose.world_from_camera)
+                                .norm();
+    if (slot.raw == nullptr && baseline > 0.0) continue;
+    others.push_back({&other.input.measurement, other.pose.world_from_camera, nullptr});
+    view.frames.insert(view.frames.end(), other.input.frames.begin(), other.input.frames.end());
+  }
+  std::sort(view.frames.begin(), view.frames.end());
+  const MergeSource reference = {&slot.input.measurement, slot.pose.world_from_camera, nullptr};
+  const Eigen::Quaterniond world_from_output = options_.orientation == OutputOrientation::kAligned
+                                                   ? Eigen::Quaterniond::Identity()
+                                                   : slot.pose.world_from_camera.rotation;
+  view.camera_from_output =
+      (slot.pose.world_from_camera.rotation.conjugate() * world_from_output).normalized();
+  MergeOptions merge;
+  merge.consistency_log10 = static_cast<float>(options_.consistency_sigma);
+  const int width = options_.output_width != 0
+                        ? options_.output_width
+                        : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
+  view.merged = MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output,
+                           width, merge);
+  view.merge_s = merge_time.Seconds();
+  return view;
+}
+
+std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantView& want) {
+  const Stopwatch pose_time;
+  tracker_->Push(input.position, input.measurement, input.odometer_m, input.prior);
+  last_pose_s_ = pose_time.Seconds();
+  ExtendScale(input.measurement);
+  const PositionId position = input.position;
+  Slot slot;
+  slot.input = std::move(input);
+  slots_.push_back(std::move(slot));
+  UpdatePoses();
+
+  std::optional<FinishedView> finished;
+  if (slots_.size() - next_unfinished_ > kLookahead) {
+    finished = FinishSlot(next_unfinished_, want);
+    finished->resume_json = SaveState(position);
+    ++next_unfinished_;
+  }
+  // Earlier positions stay as long as a view to come can see them.
+  while (next_unfinished_ > kLookahead) {
+    slots_.pop_front();
+    --next_unfinished_;
+  }
+  return finished;
+}
+
+std::vector<FinishedView> ViewPipeline::Finish(const WantView& want) {
+  std::vector<FinishedView> finished;
+  if (!slots_.empty()) {
+    const PositionId last = slots_.back().input.position;
+    while (next_unfinished_ < slots_.size()) {
+      finished.push_back(FinishSlot(next_unfinished_, want));
+      finished.back().resume_json = SaveState(last);
+      ++next_unfinished_;
+    }
+  }
+  slots_.clear();
+  next_unfinished_ = 0;
+  return finished;
+}
+
+std::string ViewPipeline::SaveState(PositionId after) const {
+  nlohmann::json state;
+  state["after"] = Value(after);
+  state["lowest_floor"] = lowest_floor_;
+  state["brightest"] = brightest_;
+  state["poses"] = nlohmann::json::parse(tracker_->SaveState(), nullptr, false);
+  return state.dump();
+}
+
+Status ViewPipeline::Restore(const std::string& resume_json) {
+  const nlohmann::json state = nlohmann::json::parse(resume_json, nullptr, false);
+  if (!state.is_object() || !state.contains("poses") || !state.contains("lowest_floor") ||
+      !state["lowest_floor"].is_number() || !state.contains("brightest") ||
+      !state["brightest"].is_number()) {
+    return Fail(ErrorKind::kData, "resume state: not an object with lowest_floor, brightest, poses");
+  }
+  OMNIHDR_TRY(tracker_->RestoreState(state["poses"].dump()));
+  lowest_floor_ = state["lowest_floor"].get<float>();
+  brightest_ = state["brightest"].get<float>();
+  scale_ = LogScale::For(lowest_floor_, brightest_);
+  return {};
+}
+
+void ViewPipeline::Rewarm(PositionId position, const Measurement& measurement) {
+  tracker_->Rewarm(position, measurement);
+}
+
+}  // namespace omnihdr

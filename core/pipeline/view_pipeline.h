@@ -1,0 +1,104 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "core/base/result.h"
+#include "core/photometry/measurement.h"
+#include "core/pipeline/options.h"
+#include "core/pose/pose_tracker.h"
+#include "core/session/session.h"
+#include "core/stereo/sgm.h"
+#include "core/stereo/stereo_view.h"
+#include "core/stereo/view_merge.h"
+
+namespace omnihdr {
+
+// One position with usable pixels, ready for fusion.
+struct PositionInput {
+  PositionId position{};
+  Measurement measurement;
+  std::vector<FrameId> frames;  // merged into the measurement
+  FrameId reference{};          // of those, the one that stands for the position
+  std::optional<double> odometer_m;
+  std::optional<Pose> prior;
+};
+
+// A finished view, not yet on disk.
+struct FinishedView {
+  PoseEstimate pose;
+  std::vector<FrameId> frames;  // that may have contributed pixels, ascending
+  FrameId reference{};
+  MergedView merged;
+  bool made = false;  // false: only the bookkeeping was done, on request (see Push)
+  Eigen::Quaterniond camera_from_output = Eigen::Quaterniond::Identity();
+  std::vector<std::string> warnings;
+  std::string resume_json;  // see SaveState
+  double stereo_s = 0.0;
+  double merge_s = 0.0;
+};
+
+// The incremental fusion of a sequence of positions in bounded memory: a window of the last positions and
+// their maps. View i is finished when position i+2 is pushed, or by Finish. Deterministic: the same
+// inputs give the same views to the last bit, on any number of cores, and a pipeline restored from
+// resume_json and pushed the following positions goes on as if it had never stopped. Not thread-safe.
+class ViewPipeline {
+ public:
+  static Result<std::unique_ptr<ViewPipeline>> Create(const PipelineOptions& options);
+
+  // How many positions before the first view to be made a restored pipeline has to be pushed first, for
+  // everything that view depends on to be there again.
+  static constexpr int kWarmUpPositions = 8;
+  // Positions whose measurements Restore needs again (the pose tracker's window), at most.
+  std::vector<PositionId> RestorePositions() const;
+
+  // `make_view` tells whether the view that this push finishes is wanted (already on disk: bookkeeping
+  // only). Returns the finished view, if this push finished one.
+  using WantView = std::function<bool(PositionId)>;
+  std::optional<FinishedView> Push(PositionInput input, const WantView& want);
+  // The views still waiting, in order. Afterwards the pipeline is empty.
+  std::vector<FinishedView> Finish(const WantView& want);
+
+  // Continues after the step that gave a view's resume_json.
+  Status Restore(const std::string& resume_json);
+  void Rewarm(PositionId position, const Measurement& measurement);
+
+  double last_pose_s() const { return last_pose_s_; }
+
+ private:
+  struct Slot {
+    PositionInput input;
+    PoseEstimate pose;
+    StereoView stereo_view;                   // empty until needed
+    Eigen::Quaterniond stereo_view_rotation;  // world_from_camera it was made with
+    std::shared_ptr<DisparityMap> raw;        // matched with every neighbour it will ever have
+    std::shared_ptr<DisparityMap> fused;
+  };
+  explicit ViewPipeline(const PipelineOptions& options) : options_(options) {}
+  void UpdatePoses();
+  void ExtendScale(const Measurement& measurement);
+  const StereoView& StereoViewOf(std::size_t index);
+  FinishedView FinishSlot(std::size_t index, const WantView& want);
+  // Slots within `reach` of `index`, on its chain, at another place; nearest first.
+  std::vector<std::size_t> Neighbours(std::size_t index, int reach) const;
+  // Null when the slot has no neighbour with a baseline.
+  std::shared_ptr<DisparityMap> MatchSlot(std::size_t index);
+  double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;
+  std::string SaveState(PositionId after) const;
+
+  PipelineOptions options_;
+  std::unique_ptr<PoseTracker> tracker_;
+  std::deque<Slot> slots_;
+  std::size_t next_unfinished_ = 0;  // index into slots_
+  LogScale scale_;
+  float lowest_floor_ = 0.0F;        // over all positions so far; 0 = none yet
+  float brightest_ = 0.0F;
+  double last_pose_s_ = 0.0;
+};
+
+}  // namespace omnihdr

@@ -1,0 +1,30 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "core/image/image.h"
+#include "core/stereo/stereo_view.h"
+#include "core/stereo/sweep.h"
+
+namespace omnihdr {
+
+struct SgmOptions {
+  int small_penalty = 6;    // P1: a change of one label
+  int large_penalty = 60;   // P2: any larger change, on a flat surface
+  int least_large_penalty = 18;  // P2 across the strongest edge
+};
+
+// A disparity map: lat-long in the world frame ("rotationally aligned"), centred on its view.
+struct DisparityMap {
+  Image<float> disparity;   // 1/r; NaN = unknown
+  Image<float> confidence;  // 0..1
+};
+
+// Semi-global matching (Hirschmueller 2008) on the sphere, four paths; rows close round the globe. The
+// large penalty falls with the reference's own log-luminance edges. Sub-pixel by a parabola through the
+// sums; confidence from the margin of the best label over the best that is not its neighbour.
+DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& reference,
+                                const SgmOptions& options);
+
+}  // namespace omnihdr

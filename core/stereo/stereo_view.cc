@@ -1,0 +1,180 @@
+#include "core/stereo/stereo_view.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+
+#include "core/base/parallel_for.h"
+#include "core/photometry/sampler.h"
+#include "core/photometry/tonemap.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr std::uint8_t kLowestCode = 1;
+constexpr std::uint8_t kHighestCode = 254;
+constexpr float kGradientCodesPerLn = 60.0F;
+// A dark channel still tells its radiance, if roughly, down to this many times the noise floor; below, it
+// only says "at most".
+constexpr float kDarkNoiseFloors = 2.0F;
+constexpr std::uint64_t kNothing = 0x00FF00FF00FF00FFULL;  // every lane lo = 255, hi = 0
+
+// One texel before packing.
+struct LaneSample {
+  float ln_r = 0.0F;
+  float ln_b = 0.0F;
+  float ln_luminance = 0.0F;
+  std::uint8_t flags = kMasked;
+};
+
+std::uint64_t Byte(std::uint64_t value, int position) { return value << (8 * position); }
+
+std::uint64_t Interval(float code, bool saturated, bool dark, int position) {
+  const auto v = static_cast<std::uint64_t>(
+      std::clamp(code + 0.5F, static_cast<float>(kLowestCode), static_cast<float>(kHighestCode)));
+  return Byte(dark ? 0 : v, position) | Byte(saturated ? 255 : v, position + 1);
+}
+
+std::uint64_t Gradient(const LaneSample& before, const LaneSample& after, int position) {
+  if (((before.flags | after.flags) & (kMasked | kSaturatedAny | kDarkAny)) != 0) {
+    return Byte(0, position) | Byte(255, position + 1);
+  }
+  const float code =
+      128.0F + kGradientCodesPerLn * 0.5F * (after.ln_luminance - before.ln_luminance);
+  const auto v = static_cast<std::uint64_t>(std::clamp(code + 0.5F, 1.0F, 254.0F));
+  return Byte(v, position) | Byte(v, position + 1);
+}
+
+}  // namespace
+
+LogScale LogScale::For(float lowest_noise_floor, float highest_saturation) {
+  LogScale scale;
+  scale.floor = std::max(lowest_noise_floor, 1e-12F);
+  scale.ln_black = std::log(scale.floor);
+  const float brightest = std::max(highest_saturation * 1.2F, scale.floor * 16.0F);
+  scale.codes_per_ln =
+      std::min(60.0F, 253.0F / (std::log(brightest + scale.floor) - scale.ln_black));
+  return scale;
+}
+
+Measurement HalveMeasurement(const Measurement& m) {
+  Measurement half;
+  const int width = m.radiance.width() / 2;
+  const int height = m.radiance.height() / 2;
+  half.projection = m.projection.Resized(width, height);
+  half.saturation = m.saturation;
+  half.variance_floor = m.variance_floor;
+  half.variance_per_radiance = m.variance_per_radiance;
+  half.noise_floor = m.noise_floor;
+  half.longest_exposure_s = m.longest_exposure_s;
+  half.shortest_exposure_s = m.shortest_exposure_s;
+  half.radiance = Image<float>(width, height, 4);
+  half.flags = Image<std::uint8_t>(width, height);
+  ParallelFor(height, 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      for (int x = 0; x < width; ++x) {
+        float sum[4] = {};
+        int measured = 0;
+        std::uint8_t flags = 0;
+        for (int k = 0; k < 4; ++k) {
+          const int sx = 2 * x + (k & 1);
+          const int sy = 2 * y + (k >> 1);
+          const std::uint8_t f = m.flags.at(sx, sy);
+          if ((f & kMasked) != 0) continue;
+          flags |= f;
+          ++measured;
+          const float* p = m.radiance.pixel(sx, sy);
+          for (int c = 0; c < 3; ++c) sum[c] += p[c];
+        }
+        float* out = half.radiance.pixel(x, y);
+        if (measured == 0) {
+          half.flags.at(x, y) = kMasked;
+          continue;
+        }
+        for (int c = 0; c < 3; ++c) out[c] = sum[c] / static_cast<float>(measured);
+        out[3] = flags == 0 && measured == 4 ? 1.0F : 0.0F;
+        half.flags.at(x, y) = flags;
+      }
+    }
+  });
+  return half;
+}
+
+StereoView MakeStereoView(const Measurement& measurement,
+                          const Eigen::Quaterniond& world_from_camera, int width,
+                          const LogScale& scale) {
+  if (measurement.radiance.width() > width + width / 2) {
+    return MakeStereoView(HalveMeasurement(measurement), world_from_camera, width, scale);
+  }
+  StereoView view;
+  view.width = width;
+  view.height = width / 2;
+  const int rows = view.height + 1;
+  view.texels.assign(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width + 1), kNothing);
+
+  const Eigen::Matrix3f camera_from_world =
+      world_from_camera.conjugate().toRotationMatrix().cast<float>();
+  const PanoramaSampler sampler(measurement);
+  const float dark_limit = kDarkNoiseFloors * measurement.noise_floor;
+  std::vector<std::array<float, 2>> cos_sin(static_cast<std::size_t>(width));
+  for (int j = 0; j < width; ++j) {
+    const double theta = std::numbers::pi - 2.0 * std::numbers::pi * j / width;
+    cos_sin[static_cast<std::size_t>(j)] = {static_cast<float>(std::cos(theta)),
+                                            static_cast<float>(std::sin(theta))};
+  }
+  std::vector<LaneSample> samples(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
+  const auto sample_at = [&](int i, int j) -> LaneSample& {
+    return samples[static_cast<std::size_t>(i) * static_cast<std::size_t>(width) +
+                   static_cast<std::size_t>(j)];
+  };
+  ParallelFor(rows, 8, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      const double phi = std::numbers::pi * i / view.height;
+      const auto sin_phi = static_cast<float>(std::sin(phi));
+      const auto cos_phi = static_cast<float>(std::cos(phi));
+      for (int j = 0; j < width; ++j) {
+        const auto& [c, s] = cos_sin[static_cast<std::size_t>(j)];
+        const Eigen::Vector3f ray =
+            camera_from_world * Eigen::Vector3f(sin_phi * c, sin_phi * s, cos_phi);
+        const RadianceSample sample = sampler.Sample(ray);
+        LaneSample& out = sample_at(i, j);
+        out.flags = sample.flags;
+        if ((sample.flags & kMasked) != 0) continue;
+        for (std::size_t k = 0; k < 3; ++k) {
+          if (sample.rgb[k] >= dark_limit) {
+            out.flags = static_cast<std::uint8_t>(out.flags & ~(kDarkR << k));
+          }
+        }
+        out.ln_r = std::log(std::max(sample.rgb[0], 0.0F) + scale.floor);
+        out.ln_b = std::log(std::max(sample.rgb[2], 0.0F) + scale.floor);
+        out.ln_luminance = std::log(std::max(Luminance(sample.rgb.data()), 0.0F) + scale.floor);
+      }
+    }
+  });
+
+  constexpr int kStep = 2;  // derivative over one pixel of a map of half the lattice's size each side
+  ParallelFor(rows, 8, [&](int begin, int end) {
+    for (int i = begin; i < end; ++i) {
+      std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
+      const int above = std::max(0, i - kStep);
+      const int below = std::min(view.height, i + kStep);
+      for (int j = 0; j < width; ++j) {
+        const LaneSample& s = sample_at(i, j);
+        if ((s.flags & kMasked) != 0) continue;
+        const auto code = [&scale](float ln) {
+          return static_cast<float>(kLowestCode) + (ln - scale.ln_black) * scale.codes_per_ln;
+        };
+        out[j] = Interval(code(s.ln_r), (s.flags & kSaturatedR) != 0, (s.flags & kDarkR) != 0, 0) |
+                 Interval(code(s.ln_b), (s.flags & kSaturatedB) != 0, (s.flags & kDarkB) != 0, 2) |
+                 Gradient(sample_at(i, (j + width - kStep) % width),
+                          sample_at(i, (j + kStep) % width), 4) |
+                 Gradient(sample_at(above, j), sample_at(below, j), 6);
+      }
+      out[width] = out[0];
+    }
+  });
+  return view;
+}
+
+}  // namespace omnihdr

@@ -1,0 +1,313 @@
+#include "core/stereo/view_merge.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <memory>
+#include <numbers>
+
+#include "core/base/parallel_for.h"
+#include "core/photometry/sampler.h"
+#include "core/photometry/tonemap.h"
+#include "core/sphere/latlong_grid.h"
+#include "core/stereo/fuse.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr std::size_t kMaxSources = 8;
+constexpr float kHalfTrustSigmas = 3.0F;  // disagreement in standard deviations that halves the trust
+constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
+
+// The reference's disparity at full resolution: low-resolution pixels around, weighed by nearness and by
+// likeness of brightness (joint bilateral upsampling, Kopf et al. 2007), but never a mean of two surfaces:
+// only values close to the heaviest one take part.
+class DisparityLookup {
+ public:
+  DisparityLookup(const DisparityMap& map, const Image<std::uint8_t>& brightness)
+      : map_(map), brightness_(brightness), grid_(map.disparity.width(), map.disparity.height()) {}
+
+  struct Value {
+    float disparity = kNan;
+    float confidence = 0.0F;
+  };
+
+  // `code` is the full-resolution brightness on the scale of the map's brightness, < 0 if unknown.
+  Value At(const Eigen::Vector3f& ray_in_world, float code) const {
+    float px = 0.0F;
+    float py = 0.0F;
+    grid_.Point(ray_in_world, &px, &py);
+    const float fx = px - 0.5F;
+    const float fy = py - 0.5F;
+    const int x0 = static_cast<int>(std::floor(fx));
+    const int y0 = static_cast<int>(std::floor(fy));
+    std::array<float, 4> d{};
+    std::array<float, 4> w{};
+    std::array<float, 4> c{};
+    std::size_t count = 0;
+    std::size_t heaviest = 0;
+    for (int k = 0; k < 4; ++k) {
+      const int x = Wrap(x0 + (k & 1));
+      const int y = std::clamp(y0 + (k >> 1), 0, grid_.height() - 1);
+      const float value = map_.disparity.at(x, y);
+      if (!(value >= 0.0F)) continue;
+      const float ax = 1.0F - std::abs(fx - static_cast<float>(x0 + (k & 1)));
+      const float ay = 1.0F - std::abs(fy - static_cast<float>(y0 + (k >> 1)));
+      float weight = std::max(ax * ay, 1e-3F);
+      if (code >= 0.0F) {
+        const float unlike = std::abs(code - static_cast<float>(brightness_.at(x, y)));
+        weight *= 1.0F / (1.0F + 0.05F * unlike * unlike);
+      }
+      d[count] = value;
+      w[count] = weight;
+      c[count] = map_.confidence.at(x, y);
+      if (weight > w[heaviest]) heaviest = count;
+      ++count;
+    }
+    if (count == 0) return {};
+    const float centre = d[heaviest];
+    const float near = 0.05F * centre + 0.002F;
+    float sum = 0.0F;
+    float weight_sum = 0.0F;
+    for (std::size_t k = 0; k < count; ++k) {
+      if (std::abs(d[k] - centre) > near) continue;
+      sum += w[k] * d[k];
+      weight_sum += w[k];
+    }
+    return {sum / weight_sum, c[heaviest]};
+  }
+
+ private:
+  int Wrap(int x) const {
+    if (x < 0) return x + grid_.width();
+    return x >= grid_.width() ? x - grid_.width() : x;
+  }
+  const DisparityMap& map_;
+  const Image<std::uint8_t>& brightness_;
+  LatLongGrid grid_;
+};
+
+// Everything needed to look a surface point up in one other view.
+struct SourceLookup {
+  const Measurement* measurement = nullptr;
+  std::unique_ptr<PanoramaSampler> sampler;
+  Eigen::Matrix3f camera_from_world = Eigen::Matrix3f::Identity();
+  Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
+  Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
+};
+
+// The nearest surface seen from a source in each direction: the reference's map warped there, and the
+// source's own map where it has one.
+Image<float> NearestSurface(const DisparityMap& reference, const MergeSource& source,
+                            const Eigen::Vector3f& offset) {
+  Image<float> nearest = WarpDisparity(reference, offset);
+  if (source.disparity != nullptr &&
+      source.disparity->disparity.width() == nearest.width()) {
+    for (int y = 0; y < nearest.height(); ++y) {
+      for (int x = 0; x < nearest.width(); ++x) {
+        if (source.disparity->confidence.at(x, y) < 0.3F) continue;
+        const float d = source.disparity->disparity.at(x, y);
+        float& n = nearest.at(x, y);
+        if (d >= 0.0F && !(n >= d)) n = d;
+      }
+    }
+  }
+  return nearest;
+}
+
+struct Sample {
+  std::array<float, 3> radiance{};
+  std::array<float, 3> variance{};
+  std::uint8_t flags = kMasked;
+  bool usable = false;   // no channel saturated, not masked
+  float trust = 1.0F;
+};
+
+// Contrast of a sample's neighbourhood, as relative luminance change per pixel.
+float LocalContrast(const Measurement& m, float x, float y) {
+  const int width = m.radiance.width();
+  const int height = m.radiance.height();
+  const int xi = std::clamp(static_cast<int>(x), 0, width - 1);
+  const int yi = std::clamp(static_cast<int>(y), 0, height - 1);
+  const int xl = xi == 0 ? width - 1 : xi - 1;
+  const int xr = xi + 1 == width ? 0 : xi + 1;
+  const int yu = std::max(0, yi - 1);
+  const int yd = std::min(height - 1, yi + 1);
+  const float gx = Luminance(m.radiance.pixel(xr, yi)) - Luminance(m.radiance.pixel(xl, yi));
+  const float gy = Luminance(m.radiance.pixel(xi, yd)) - Luminance(m.radiance.pixel(xi, yu));
+  return 0.5F * std::sqrt(gx * gx + gy * gy);
+}
+
+}  // namespace
+
+MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
+                      const Image<std::uint8_t>* map_brightness,
+                      const std::vector<MergeSource>& others,
+                      const Eigen::Quaterniond& world_from_output, int width,
+                      const MergeOptions& options) {
+  const int height = width / 2;
+  const LatLongGrid output(width, height);
+  const Eigen::Matrix3f world_from_output_matrix = world_from_output.toRotationMatrix().cast<float>();
+  const Measurement& own = *reference.measurement;
+  const PanoramaSampler own_sampler(own);
+  const Eigen::Matrix3f own_from_world =
+      reference.world_from_camera.rotation.conjugate().toRotationMatrix().cast<float>();
+
+  std::vector<SourceLookup> sources(std::min(others.size(), kMaxSources - 1));
+  ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
+    for (int n = begin; n < end; ++n) {
+      const MergeSource& other = others[static_cast<std::size_t>(n)];
+      SourceLookup& s = sources[static_cast<std::size_t>(n)];
+      s.measurement = other.measurement;
+      s.sampler = std::make_unique<PanoramaSampler>(*other.measurement);
+      s.camera_from_world =
+          other.world_from_camera.rotation.conjugate().toRotationMatrix().cast<float>();
+      s.offset = (other.world_from_camera.translation - reference.world_from_camera.translation)
+                     .cast<float>();
+      if (map != nullptr) s.nearest = NearestSurface(*map, other, s.offset);
+    }
+  });
+  std::unique_ptr<DisparityLookup> disparity;
+  if (map != nullptr) disparity = std::make_unique<DisparityLookup>(*map, *map_brightness);
+  const LatLongGrid map_grid(map != nullptr ? map->disparity.width() : 2,
+                             map != nullptr ? map->disparity.height() : 1);
+
+  const float relative_tolerance =
+      options.consistency_log10 * std::numbers::ln10_v<float> / kHalfTrustSigmas;
+
+  MergedView view;
+  view.radiance = Image<float>(width, height, 3);
+  view.disparity = Image<float>(width, height, 1, kNan);
+  view.confidence = Image<float>(width, height);
+  view.origin = Image<std::uint8_t>(width, height);
+
+  const auto make_sample = [&](const Measurement& m, const RadianceSample& raw) {
+    Sample s;
+    s.radiance = raw.rgb;
+    s.flags = raw.flags;
+    s.usable = (raw.flags & (kMasked | kSaturatedAny)) == 0;
+    for (std::size_t c = 0; c < 3; ++c) {
+      const float e = std::max(raw.rgb[c], 0.0F);
+      s.variance[c] = m.variance_floor[c] + m.variance_per_radiance[c] * e;
+    }
+    return s;
+  };
+
+  ParallelFor(height, 4, [&](int begin, int end) {
+    std::array<Sample, kMaxSources> samples;
+    for (int y = begin; y < end; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
+        const RadianceSample own_raw = own_sampler.Sample(own_from_world * ray);
+        samples[0] = make_sample(own, own_raw);
+        const Sample& mine = samples[0];
+        std::size_t count = 1;
+
+        DisparityLookup::Value d;
+        if (disparity != nullptr) {
+          int mx = 0;
+          int my = 0;
+          map_grid.Pixel(ray, &mx, &my);
+          d = disparity->At(ray, -1.0F);
+          view.disparity.at(x, y) = d.disparity;
+          view.confidence.at(x, y) = d.confidence;
+        }
+        const bool by_rotation = disparity == nullptr;
+        const float misregistration =
+            options.misalignment_px +
+            (1.0F - (by_rotation ? 0.5F : d.confidence)) * options.distrusted_px;
+
+        for (const SourceLookup& source : sources) {
+          Eigen::Vector3f v = ray;
+          if (!by_rotation) {
+            if (!(d.disparity >= 0.0F)) continue;
+            v -= d.disparity * source.offset;
+            const float length = v.norm();
+            if (length < 1e-4F) continue;
+            const float expected = d.disparity / length;
+            int nx = 0;
+            int ny = 0;
+            map_grid.Pixel(v, &nx, &ny);
+            const float nearest = source.nearest.at(nx, ny);
+            if (nearest > expected * (1.0F + options.occlusion_tolerance) + 0.003F) continue;
+          }
+          const Eigen::Vector3f ray_there = source.camera_from_world * v;
+          float px = 0.0F;
+          float py = 0.0F;
+          source.sampler->PixelFromRay(ray_there.x(), ray_there.y(), ray_there.z(), &px, &py);
+          const RadianceSample raw = source.sampler->SampleAt(px, py);
+          if ((raw.flags & kMasked) != 0) continue;
+          Sample s = make_sample(*source.measurement, raw);
+          if (s.usable) {
+            const float contrast = LocalContrast(*source.measurement, px, py) * misregistration;
+            for (std::size_t c = 0; c < 3; ++c) {
+              const float model = options.model_error * s.radiance[c];
+              s.variance[c] += contrast * contrast + model * model;
+            }
+          }
+          samples[count++] = s;
+        }
+
+        // How well each other sample agrees with what this view itself saw, as an interval per channel.
+        if ((mine.flags & kMasked) == 0) {
+          for (std::size_t k = 1; k < count; ++k) {
+            Sample& s = samples[k];
+            if (!s.usable) continue;
+            float chi = 0.0F;
+            for (std::size_t c = 0; c < 3; ++c) {
+              float gap = s.radiance[c] - mine.radiance[c];
+              if ((mine.flags & kSaturatedBit[c]) != 0) gap = std::min(gap, 0.0F);
+              // Noise of what the other view claims, had this view measured it.
+              const float here = own.variance_floor[c] +
+                                 own.variance_per_radiance[c] * std::max(s.radiance[c], 0.0F);
+              const float tolerance = relative_tolerance * mine.radiance[c];
+              chi += gap * gap / (s.variance[c] + here + tolerance * tolerance);
+            }
+            const float r = chi / (3.0F * kHalfTrustSigmas * kHalfTrustSigmas);
+            s.trust = 1.0F / (1.0F + r * r);
+          }
+        }
+
+        float* out = view.radiance.pixel(x, y);
+        bool measured = false;
+        bool dark = true;
+        for (std::size_t k = 0; k < count; ++k) {
+          measured = measured || samples[k].usable;
+        }
+        if (measured) {
+          // A common estimate of the signal first, so that noise does not bias the weights.
+          std::array<float, 3> signal{};
+          std::array<float, 3> signal_weight{};
+          for (std::size_t k = 0; k < count; ++k) {
+            const Sample& s = samples[k];
+            if (!s.usable) continue;
+            for (std::size_t c = 0; c < 3; ++c) {
+              const float w = s.trust / s.variance[c];
+              signal[c] += w * s.radiance[c];
+              signal_weight[c] += w;
+            }
+            dark = dark && (s.flags & kDarkAny) == kDarkAny;
+          }
+          for (std::size_t c = 0; c < 3; ++c) out[c] = signal[c] / signal_weight[c];
+          view.origin.at(x, y) =
+              static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
+        } else {
+          // Saturated wherever it was seen: each says "at least"; the largest bound says most.
+          bool seen = false;
+          for (std::size_t k = 0; k < count; ++k) {
+            if ((samples[k].flags & kMasked) != 0) continue;
+            seen = true;
+            for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
+          }
+          view.origin.at(x, y) =
+              static_cast<std::uint8_t>(seen ? PixelOrigin::kClipped : PixelOrigin::kNoData);
+        }
+      }
+    }
+  });
+  return view;
+}
+
+}  // namespace omnihdr

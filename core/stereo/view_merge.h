@@ -1,0 +1,57 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <vector>
+
+#include "core/image/image.h"
+#include "core/photometry/measurement.h"
+#include "core/sphere/pose.h"
+#include "core/stereo/sgm.h"
+
+namespace omnihdr {
+
+enum class PixelOrigin : std::uint8_t {
+  kNoData = 0,    // nothing measured: outside the sensor, masked everywhere
+  kMeasured = 1,  // at least one view measured it
+  kClipped = 2,   // saturated in every view: the largest known lower bound
+  kDark = 3,      // below the usable range in every view: best estimate
+};
+
+// One view that contributes to a merge.
+struct MergeSource {
+  const Measurement* measurement = nullptr;
+  Pose world_from_camera;
+  const DisparityMap* disparity = nullptr;  // its own map, or null when not made yet
+};
+
+struct MergeOptions {
+  float misalignment_px = 0.35F;      // expected registration error of a trusted disparity, in pixels
+  float distrusted_px = 1.2F;         // of one with confidence 0
+  float model_error = 0.03F;          // relative error every sample has besides noise
+  float consistency_log10 = 0.06F;    // log10 disagreement with the own view, beyond noise and
+                                      // misregistration, at which a sample counts half
+  float occlusion_tolerance = 0.05F;  // relative: a surface nearer by more hides the sample
+};
+
+struct MergedView {
+  Image<float> radiance;    // W×H×3, lat-long; 0 where there is no data
+  Image<float> disparity;   // W×H; NaN = unknown
+  Image<float> confidence;  // W×H, 0..1
+  Image<std::uint8_t> origin;  // W×H, PixelOrigin
+};
+
+// The radiance map of `reference` on a lat-long grid of `width` × width/2 whose axes are turned by
+// `world_from_output`: every pixel is sought in the other views through the reference's disparity
+// (backward warp), unless hidden there; what is found is weighed by the inverse of its variance - sensor
+// noise, local contrast times the expected misregistration, a constant model error - and by how well it
+// agrees with what the reference itself saw, as an interval: a saturated reference pixel only says "at
+// least". Saturated samples never contribute a value.
+// `map` is the reference's disparity (world-aligned lat-long, holes filled) or null: merge by rotation
+// alone, disparity unknown.
+MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
+                      const Image<std::uint8_t>* map_brightness,
+                      const std::vector<MergeSource>& others,
+                      const Eigen::Quaterniond& world_from_output, int width,
+                      const MergeOptions& options);
+
+}  // namespace omnihdr

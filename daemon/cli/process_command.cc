@@ -1,0 +1,183 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <set>
+#include <string>
+
+#include "core/base/parallel_for.h"
+#include "core/pipeline/session_processor.h"
+#include "core/session/session_reader.h"
+#include "core/session/view_writer.h"
+#include "daemon/cli/command.h"
+#include "daemon/config.h"
+
+namespace omnihdr {
+namespace {
+
+struct ProcessArguments {
+  std::string session;
+  std::string out;
+  std::string mask;
+  std::string mode;
+  std::string config;
+  int width = 0;
+  int workers = 0;
+  bool resume = false;
+  bool overwrite = false;
+  bool profile = false;
+  bool quiet = false;
+};
+
+Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
+  PipelineOptions options;
+  if (!arguments.config.empty()) {
+    OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
+    options = config.pipeline.options;
+  }
+  if (!arguments.mask.empty()) options.mask_file = arguments.mask;
+  if (arguments.mode == "spatiotemporal") options.mode = ProcessMode::kSpatiotemporal;
+  if (arguments.mode == "temporal") options.mode = ProcessMode::kTemporal;
+  if (arguments.mode == "auto") options.mode = ProcessMode::kAuto;
+  if (arguments.width != 0) options.output_width = arguments.width;
+  return options;
+}
+
+struct Standing {
+  int positions = 0;  // with a frame that claims pixels
+  int complete = 0;   // of those, with a view
+};
+
+Result<Standing> StandingOf(const std::filesystem::path& session,
+                            const std::filesystem::path& views) {
+  OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
+  OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views));
+  std::set<PositionId> positions;
+  for (const FrameRecord& frame : contents.journal.frames) {
+    if (frame.status == FrameStatus::kOk) positions.insert(frame.position);
+  }
+  Standing standing;
+  standing.positions = static_cast<int>(positions.size());
+  for (const PositionId position : complete) {
+    standing.complete += static_cast<int>(positions.count(position));
+  }
+  return standing;
+}
+
+Status RemoveViews(const std::filesystem::path& views) {
+  OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views));
+  for (const PositionId position : complete) {
+    std::error_code error;
+    std::filesystem::remove_all(views / ViewDirectoryName(position), error);
+    if (error) {
+      return Fail(ErrorKind::kIo, "{}: {}", (views / ViewDirectoryName(position)).string(),
+                  error.message());
+    }
+  }
+  return {};
+}
+
+Result<int> Process(const ProcessArguments& arguments) {
+  OMNIHDR_ASSIGN(const PipelineOptions options, OptionsOf(arguments));
+  if (arguments.workers > 0) SetWorkerCount(arguments.workers);
+  const std::filesystem::path session = arguments.session;
+  const std::filesystem::path out = arguments.out.empty() ? session : std::filesystem::path(arguments.out);
+  const std::filesystem::path views = out / "views";
+  if (arguments.overwrite) OMNIHDR_TRY(RemoveViews(views));
+  OMNIHDR_ASSIGN(const Standing standing, StandingOf(session, views));
+  if (standing.positions > 0 && standing.complete == standing.positions) {
+    fmt::print("{}: all {} views are complete, nothing to do (--overwrite makes them anew)\n",
+               views.string(), standing.complete);
+    return 0;
+  }
+  if (standing.complete > 0 && !arguments.resume) {
+    return Fail(ErrorKind::kUsage,
+                "{}: holds {} of {} views; --resume continues, --overwrite makes all anew",
+                views.string(), standing.complete, standing.positions);
+  }
+  if (arguments.resume && standing.complete > 0) {
+    fmt::print("continuing: {} of {} views are complete\n", standing.complete, standing.positions);
+  }
+
+  ViewDone total;
+  int written = 0;
+  int warnings = 0;
+  ProcessorCallbacks callbacks;
+  callbacks.view_done = [&](const ViewDone& done) {
+    if (done.already_complete) return;
+    ++written;
+    total.pose_s += done.pose_s;
+    total.stereo_s += done.stereo_s;
+    total.merge_s += done.merge_s;
+    total.write_s += done.write_s;
+    if (!arguments.quiet) {
+      const double seconds = done.pose_s + done.stereo_s + done.merge_s + done.write_s;
+      fmt::print("{}  {:.2f} s", (views / ViewDirectoryName(done.position)).string(), seconds);
+      if (arguments.profile) {
+        fmt::print("  pose {:.3f}  stereo {:.3f}  merge {:.3f}  write {:.3f}", done.pose_s,
+                   done.stereo_s, done.merge_s, done.write_s);
+      }
+      fmt::print("\n");
+      std::fflush(stdout);
+    }
+    for (const std::string& warning : done.warnings) {
+      fmt::print(stderr, "position {}: {}\n", Value(done.position), warning);
+    }
+  };
+  callbacks.warning = [&warnings](const std::string& message) {
+    ++warnings;
+    fmt::print(stderr, "warning: {}\n", message);
+  };
+  const auto start = std::chrono::steady_clock::now();
+  OMNIHDR_ASSIGN(const std::unique_ptr<SessionProcessor> processor,
+                 SessionProcessor::Open(session, out, options, callbacks));
+  OMNIHDR_TRY(processor->Finish());
+  const SessionProcessor::Counts counts = processor->counts();
+  const double elapsed =
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  if (counts.positions_seen == 0 && counts.views_complete == 0) {
+    return Fail(ErrorKind::kData, "{}: no position with a usable frame, no view made",
+                session.string());
+  }
+  fmt::print("{}: {} views written, {} complete", views.string(), written, counts.views_complete);
+  if (counts.positions_without_pixels > 0) {
+    fmt::print(", {} positions without usable frames", counts.positions_without_pixels);
+  }
+  fmt::print(", {:.1f} s\n", elapsed);
+  if (arguments.profile && written > 0) {
+    const double n = written;
+    fmt::print("mean per view: pose {:.3f} s, stereo {:.3f} s, merge {:.3f} s, write {:.3f} s\n",
+               total.pose_s / n, total.stereo_s / n, total.merge_s / n, total.write_s / n);
+  }
+  return 0;
+}
+
+}  // namespace
+
+void AddProcessCommand(CLI::App& app, CommandRun& run) {
+  CLI::App* command = app.add_subcommand(
+      "process", "Make the views (radiance, disparity, preview, pose) of a recorded session");
+  auto arguments = std::make_shared<ProcessArguments>();
+  command->add_option("session", arguments->session, "session directory")->required();
+  command->add_option("--out", arguments->out, "directory that gets views/ (default: the session)");
+  command->add_option("--mask", arguments->mask,
+                      "picture of a frame's size, white = use (key input.mask)");
+  command->add_option("--mode", arguments->mode, "auto, spatiotemporal or temporal (pipeline.mode)")
+      ->check(CLI::IsMember({"auto", "spatiotemporal", "temporal"}));
+  command->add_option("--config", arguments->config, "take pipeline options from this file");
+  command->add_option("--width", arguments->width, "width of the output pictures (output.width)")
+      ->check(CLI::Range(64, 16384));
+  command->add_option("--workers", arguments->workers, "threads (default: one per processor)")
+      ->check(CLI::Range(1, 256));
+  CLI::Option* resume =
+      command->add_flag("--resume", arguments->resume, "continue where the complete views end");
+  command->add_flag("--overwrite", arguments->overwrite, "make all views anew")->excludes(resume);
+  command->add_flag("--profile", arguments->profile, "print where the time of each view goes");
+  command->add_flag("-q,--quiet", arguments->quiet, "no line per view");
+  command->callback([arguments, &run] { run = [arguments] { return Process(*arguments); }; });
+}
+
+}  // namespace omnihdr
