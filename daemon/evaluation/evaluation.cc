@@ -5,8 +5,11 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <nlohmann/json.hpp>
+#include <sstream>
 #include <utility>
 
+#include "core/base/file.h"
 #include "core/photometry/measure.h"
 #include "core/photometry/tonemap.h"
 #include "core/quality/picture_metrics.h"
@@ -52,6 +55,28 @@ Result<Places> ReadPlaces(const SessionContents& contents, const std::filesystem
     }
   }
   return places;
+}
+
+// Seconds a view took, from the timings file that lies beside the views: one line a view, the
+// latest counts. Timings are a convenience: a line that is not understood says nothing.
+std::map<PositionId, double> ReadTimings(const std::filesystem::path& views) {
+  std::map<PositionId, double> timings;
+  const Result<std::string> text = ReadTextFile(views.parent_path() / "timings.jsonl");
+  if (!text) return timings;
+  std::istringstream lines(*text);
+  for (std::string line; std::getline(lines, line);) {
+    const auto json = nlohmann::json::parse(line, nullptr, false);
+    if (!json.is_object() || !json.contains("position") || !json["position"].is_number_integer() ||
+        !json.contains("seconds") || !json["seconds"].is_object()) {
+      continue;
+    }
+    double sum = 0.0;
+    for (const auto& [step, seconds] : json["seconds"].items()) {
+      if (seconds.is_number()) sum += seconds.get<double>();
+    }
+    timings[PositionId{json["position"].get<std::int64_t>()}] = sum;
+  }
+  return timings;
 }
 
 // Pose errors chain by chain, and what a chain's length unit is in metres.
@@ -255,6 +280,7 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
     ScorePoses(places);
   }
 
+  const std::map<PositionId, double> timings = ReadTimings(views);
   SessionScore score;
   if (reference) score.reference = reference->name();
   for (auto at = places.cbegin(); at != places.cend(); ++at) {
@@ -271,6 +297,9 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
       position.valid_fraction = place.view.valid_fraction;
       position.warnings = place.view.warnings;
       position.pose = place.pose;
+      if (const auto timing = timings.find(at->first); timing != timings.end()) {
+        position.seconds = timing->second;
+      }
       if (reference && place.own->status == FrameStatus::kOk) {
         OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, at->first));
         OMNIHDR_TRY(ScorePictures(session, contents, view, place, *reference,

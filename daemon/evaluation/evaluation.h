@@ -37,7 +37,7 @@ struct PositionScore {
   int frames = 0;                         // that contributed to the view
   int chain = 0;
   double valid_fraction = 0.0;  // as view.json says
-  std::optional<double> seconds;
+  std::optional<double> seconds;  // the view took, when the session has timings
   std::vector<std::string> warnings;
   // Against the reference, where there is one, all on the same pixels: those known in the
   // reference, seen by the position's own frame and known in the view.

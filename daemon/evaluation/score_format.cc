@@ -1,5 +1,8 @@
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "daemon/evaluation/evaluation.h"
 
@@ -11,10 +14,113 @@ using Json = nlohmann::ordered_json;
 Json Number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 Json Number(const std::optional<double>& value) { return value ? Number(*value) : Json(nullptr); }
 
-// A table cell of fixed width: "-" where the number is not known.
-std::string Cell(const std::optional<double>& value, int width, int decimals) {
-  if (!value || std::isnan(*value)) return fmt::format("{:>{}}", "-", width);
-  return fmt::format("{:>{}.{}f}", *value, width, decimals);
+// A column of the table: two lines of heading, a number a position and one for the last line.
+struct Column {
+  const char* group;
+  const char* heading;
+  int decimals;
+  std::function<std::optional<double>(const PositionScore&)> value;
+  std::optional<double> mean;
+};
+
+std::string Cell(const std::optional<double>& value, int decimals) {
+  return value && !std::isnan(*value) ? fmt::format("{:.{}f}", *value, decimals) : "-";
+}
+
+template <typename Score>
+std::function<std::optional<double>(const PositionScore&)> Of(
+    std::optional<Score> PositionScore::*score, double (*number)(const Score&)) {
+  return [score, number](const PositionScore& p) {
+    return p.*score ? std::optional(number(*(p.*score))) : std::nullopt;
+  };
+}
+
+std::optional<double> Percent(std::optional<double> share) {
+  if (share) *share *= 100.0;
+  return share;
+}
+
+std::vector<Column> Columns(const SessionScore& score) {
+  using R = const RadianceScore&;
+  using D = const DisparityErrors&;
+  using P = const PoseErrors&;
+  const auto mean = [&](double SessionScore::Mean::*member) {
+    return score.mean ? std::optional((*score.mean).*member) : std::nullopt;
+  };
+  const auto mean_or_none = [&](std::optional<double> SessionScore::Mean::*member) {
+    return score.mean ? (*score.mean).*member : std::nullopt;
+  };
+  using Mean = SessionScore::Mean;
+  const auto view = &PositionScore::view;
+  const auto own = &PositionScore::own_frame;
+  std::optional<double> seconds;
+  for (const PositionScore& p : score.positions) {
+    if (p.seconds) seconds = seconds.value_or(0.0) + *p.seconds;
+  }
+  if (seconds) *seconds /= static_cast<double>(score.complete);
+  return {
+      {"exposure", "s", 5, [](const PositionScore& p) { return p.exposure.time.seconds(); }, {}},
+      {"frames",
+       "used",
+       0,
+       [](const PositionScore& p) { return static_cast<double>(p.frames); },
+       {}},
+      {"valid", "%", 1, [](const PositionScore& p) { return 100.0 * p.valid_fraction; }, {}},
+      {"RMSE", "view", 4,
+       Of(
+           view, +[](R r) { return r.errors.log10_rmse; }),
+       mean(&Mean::view_rmse)},
+      {"RMSE", "own", 4,
+       Of(
+           own, +[](R r) { return r.errors.log10_rmse; }),
+       mean(&Mean::own_rmse)},
+      {"change", "%", 1,
+       [](const PositionScore& p) {
+         return p.view ? std::optional(
+                             100.0 *
+                             (p.view->errors.log10_rmse / p.own_frame->errors.log10_rmse - 1.0))
+                       : std::nullopt;
+       },
+       score.mean ? std::optional(-100.0 * score.improvement()) : std::nullopt},
+      {"p95", "view", 3,
+       Of(
+           view, +[](R r) { return r.errors.log10_p95; }),
+       mean(&Mean::view_p95)},
+      {"p95", "own", 3,
+       Of(
+           own, +[](R r) { return r.errors.log10_p95; }),
+       mean(&Mean::own_p95)},
+      {"SSIM", "view", 3,
+       Of(
+           view, +[](R r) { return r.ssim; }),
+       mean(&Mean::view_ssim)},
+      {"SSIM", "own", 3,
+       Of(
+           own, +[](R r) { return r.ssim; }),
+       mean(&Mean::own_ssim)},
+      {"covered", "%", 1,
+       [](const PositionScore& p) {
+         return p.view ? std::optional(100.0 * p.covered) : std::nullopt;
+       },
+       Percent(mean(&Mean::covered))},
+      {"disparity", "bad1 %", 1,
+       Of(
+           &PositionScore::disparity, +[](D d) { return 100.0 * d.bad1; }),
+       Percent(mean_or_none(&Mean::disparity_bad1))},
+      {"disparity", "median %", 2,
+       Of(
+           &PositionScore::disparity, +[](D d) { return 100.0 * d.median_relative; }),
+       Percent(mean_or_none(&Mean::disparity_relative))},
+      {"pose", "deg", 3,
+       Of(
+           &PositionScore::pose, +[](P e) { return e.rotation_deg; }),
+       mean_or_none(&Mean::rotation_deg)},
+      {"pose", "trans %", 2,
+       Of(
+           &PositionScore::pose, +[](P e) { return e.translation_percent; }),
+       mean_or_none(&Mean::translation_percent)},
+      {"time", "s", 2, [](const PositionScore& p) { return p.seconds; }, seconds},
+  };
 }
 
 Json RadianceJson(const RadianceScore& score) {
@@ -26,68 +132,62 @@ Json RadianceJson(const RadianceScore& score) {
           {"psnr_mu", Number(score.psnr_mu)}};
 }
 
-std::optional<double> Percent(std::optional<double> share) {
-  if (share) *share *= 100.0;
-  return share;
-}
-
 }  // namespace
 
 std::string FormatScoreTable(const SessionScore& score) {
   std::string out;
-  const bool judged = score.mean.has_value();
-  if (judged) {
+  if (score.mean) {
     out += fmt::format(
-        "against: {}. log10 RMSE of luminance, view beside the position's own frame alone\n",
+        "Against: {}. RMSE and p95 are of log10 luminance, after one factor a picture; \"own\" is "
+        "the\n"
+        "position's own frame alone. Only what the bracket can measure is compared.\n\n",
         score.reference);
-    out +=
-        "position  exposure s  frames    view     own  change  v.p95  o.p95  v.SSIM  o.SSIM  "
-        "covered"
-        "  disp bad1  disp rel  rot deg  trans %\n";
-  } else {
-    out += "position  exposure s  frames   valid\n";
   }
+  // Columns in which nothing is known are left out.
+  std::vector<std::vector<std::string>> lines(score.positions.size() + 3);
+  lines[0] = {"position"};
+  lines[1] = {""};
+  for (std::size_t i = 0; i < score.positions.size(); ++i) {
+    lines[i + 2] = {fmt::format("{}", Value(score.positions[i].position))};
+  }
+  lines.back() = {"mean"};
+  for (const Column& column : Columns(score)) {
+    bool known = false;
+    std::vector<std::string> cells;
+    for (const PositionScore& p : score.positions) {
+      cells.push_back(Cell(p.complete ? column.value(p) : std::nullopt, column.decimals));
+      known |= cells.back() != "-";
+    }
+    if (!known) continue;
+    lines[0].emplace_back(column.group);
+    lines[1].emplace_back(column.heading);
+    for (std::size_t i = 0; i < cells.size(); ++i) lines[i + 2].push_back(std::move(cells[i]));
+    lines.back().push_back(column.mean ? Cell(column.mean, column.decimals) : "");
+  }
+  if (!score.mean) lines.pop_back();
+  std::vector<std::size_t> widths(lines[0].size(), 0);
+  for (const auto& line : lines) {
+    for (std::size_t i = 0; i < line.size(); ++i) widths[i] = std::max(widths[i], line[i].size());
+  }
+  for (std::size_t row = 0; row < lines.size(); ++row) {
+    const PositionScore* p =
+        row >= 2 && row < score.positions.size() + 2 ? &score.positions[row - 2] : nullptr;
+    std::string line;
+    for (std::size_t i = 0; i < lines[row].size(); ++i) {
+      line += fmt::format("{:>{}}", lines[row][i], widths[i] + (i == 0 ? 0 : 2));
+    }
+    if (p != nullptr && !p->complete) {
+      line += p->status == FrameStatus::kOk
+                  ? "  no view"
+                  : fmt::format("  no view: frame is {}", ToString(p->status));
+    }
+    out += line + "\n";
+  }
+  if (score.mean) out += "(mean of poses: the largest)\n";
   for (const PositionScore& p : score.positions) {
-    out += fmt::format("{:>8}  {:>10.6f}", Value(p.position), p.exposure.time.seconds());
-    if (!p.complete) {
-      out += fmt::format("  no view{}\n", p.status == FrameStatus::kOk
-                                              ? ""
-                                              : fmt::format(": frame is {}", ToString(p.status)));
-      continue;
+    for (const std::string& warning : p.warnings) {
+      out += fmt::format("position {}: {}\n", Value(p.position), warning);
     }
-    out += fmt::format("  {:>6}", p.frames);
-    if (judged) {
-      const auto view = p.view ? std::optional(p.view->errors.log10_rmse) : std::nullopt;
-      const auto own = p.own_frame ? std::optional(p.own_frame->errors.log10_rmse) : std::nullopt;
-      const auto change = view ? std::optional(100.0 * (*view / *own - 1.0)) : std::nullopt;
-      const auto of = [](const std::optional<RadianceScore>& s, double RadianceErrors::*member) {
-        return s ? std::optional(s->errors.*member) : std::nullopt;
-      };
-      out += Cell(view, 8, 4) + Cell(own, 8, 4) + Cell(change, 7, 1) + "%" +
-             Cell(of(p.view, &RadianceErrors::log10_p95), 7, 3) +
-             Cell(of(p.own_frame, &RadianceErrors::log10_p95), 7, 3) +
-             Cell(p.view ? std::optional(p.view->ssim) : std::nullopt, 8, 3) +
-             Cell(p.own_frame ? std::optional(p.own_frame->ssim) : std::nullopt, 8, 3) +
-             Cell(100.0 * p.covered, 8, 1) + "%" +
-             Cell(Percent(p.disparity ? std::optional(p.disparity->bad1) : std::nullopt), 10, 1) +
-             Cell(Percent(p.disparity ? std::optional(p.disparity->median_relative) : std::nullopt),
-                  10, 2) +
-             Cell(p.pose ? std::optional(p.pose->rotation_deg) : std::nullopt, 9, 3) +
-             Cell(p.pose ? std::optional(p.pose->translation_percent) : std::nullopt, 9, 2);
-    } else {
-      out += Cell(100.0 * p.valid_fraction, 7, 1) + "%";
-    }
-    out += "\n";
-    for (const std::string& warning : p.warnings) out += fmt::format("          {}\n", warning);
-  }
-  if (judged) {
-    const SessionScore::Mean& m = *score.mean;
-    out += fmt::format("{:>28}", "mean (poses: largest)") + Cell(m.view_rmse, 8, 4) +
-           Cell(m.own_rmse, 8, 4) + Cell(-100.0 * score.improvement(), 7, 1) + "%" +
-           Cell(m.view_p95, 7, 3) + Cell(m.own_p95, 7, 3) + Cell(m.view_ssim, 8, 3) +
-           Cell(m.own_ssim, 8, 3) + Cell(100.0 * m.covered, 8, 1) + "%" +
-           Cell(Percent(m.disparity_bad1), 10, 1) + Cell(Percent(m.disparity_relative), 10, 2) +
-           Cell(m.rotation_deg, 9, 3) + Cell(m.translation_percent, 9, 2) + "\n";
   }
   out +=
       fmt::format("{} of {} positions have their view\n", score.complete, score.positions.size());
@@ -104,6 +204,7 @@ std::string FormatScoreJson(const SessionScore& score) {
                  {"frames", p.frames},
                  {"chain", p.chain},
                  {"valid_fraction", Number(p.valid_fraction)},
+                 {"seconds", Number(p.seconds)},
                  {"warnings", p.warnings}};
     if (p.view) {
       item["view"] = RadianceJson(*p.view);
