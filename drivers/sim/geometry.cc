@@ -340,6 +340,13 @@ Hit Geometry::Intersect(Vec3 origin, Vec3 direction, float t_max) const {
   }
 }
 
+Hit Geometry::IntersectOnly(int primitive, Vec3 origin, Vec3 direction) const {
+  Hit hit;
+  IntersectPrimitive(primitives_[static_cast<std::size_t>(primitive)], origin, direction, primitive,
+                     hit);
+  return hit;
+}
+
 bool Geometry::Occluded(Vec3 origin, Vec3 direction, float t_max) const {
   if (primitives_.empty()) return false;
   const Vec3 inverse = Inverse(direction);

@@ -98,6 +98,8 @@ class Geometry {
   // The first surface along origin + t·direction (unit length), 0 < t < t_max.
   Hit Intersect(Vec3 origin, Vec3 direction,
                 float t_max = std::numeric_limits<float>::infinity()) const;
+  // The same for one primitive alone.
+  Hit IntersectOnly(int primitive, Vec3 origin, Vec3 direction) const;
   // Whether anything lies between.
   bool Occluded(Vec3 origin, Vec3 direction, float t_max) const;
   // Distance from a point to the nearest surface; 0 inside a solid.

@@ -14,9 +14,10 @@ constexpr float kPi = std::numbers::pi_v<float>;
 constexpr float kLift = 2e-3F;  // metres off the surface, so that a ray does not meet its own start
 constexpr int kSunSamples = 3;
 constexpr int kLightSamples = 2;
-constexpr int kPortalSamples = 6;
+constexpr int kPortalSamples = 4;
 constexpr int kGatherRays = 32;
-constexpr int kMaxSide = 288;  // texels along one face
+constexpr float kFaintest = 4.0F;  // irradiance of a lamp below which it is left out
+constexpr int kMaxSide = 288;      // texels along one face
 
 int Faces(Shape shape) {
   switch (shape) {
@@ -158,18 +159,20 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
   std::vector<Vec3> direct(total);
   std::vector<Vec3> indirect(total);
 
-  const auto each_texel = [&](const auto& light_at, std::vector<Vec3>& out) {
+  // `step` 2 computes every second texel of every second row and repeats it for its neighbours.
+  const auto each_texel = [&](int step, const auto& light_at, std::vector<Vec3>& out) {
     ParallelFor(static_cast<int>(rows.size()), 4, [&](int begin, int end) {
       for (int i = begin; i < end; ++i) {
         const Row& row = rows[static_cast<std::size_t>(i)];
         const Primitive& p = primitives[static_cast<std::size_t>(row.primitive)];
         const Grid& grid = grids_[first_grid_[static_cast<std::size_t>(row.primitive)] +
                                   static_cast<std::size_t>(row.face)];
-        for (int column = 0; column < grid.columns; ++column) {
-          const std::size_t at =
-              grid.offset +
-              static_cast<std::size_t>(row.row) * static_cast<std::size_t>(grid.columns) +
-              static_cast<std::size_t>(column);
+        if (row.row % step != 0) continue;
+        const auto index = [&](int r, int c) {
+          return grid.offset + static_cast<std::size_t>(r * grid.columns + c);
+        };
+        for (int column = 0; column < grid.columns; column += step) {
+          const std::size_t at = index(row.row, column);
           Random random(0x51ed2701ULL + at * 0x2545f4914f6cdd1dULL);
           const Hit hit =
               PointOnFace(p, row.primitive, row.face,
@@ -177,7 +180,12 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
                           (static_cast<float>(row.row) + 0.5F) / static_cast<float>(grid.rows));
           const Vec3 normal = p.ToWorld(LocalNormal(p, hit));
           const Vec3 point = p.centre + p.ToWorld(hit.local) + normal * kLift;
-          out[at] = light_at(p, point, normal, random);
+          const Vec3 light = light_at(p, point, normal, random);
+          for (int r = row.row; r < std::min(row.row + step, grid.rows); ++r) {
+            for (int c = column; c < std::min(column + step, grid.columns); ++c) {
+              out[index(r, c)] = light;
+            }
+          }
         }
       }
     });
@@ -189,6 +197,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
   constexpr float kFar = 1e4F;
 
   each_texel(
+      1,
       [&](const Primitive& p, Vec3 point, Vec3 normal, Random& random) {
         Vec3 sum;
         if (has_sun) {
@@ -208,7 +217,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
           const float distance2 = Dot(to_centre, to_centre);
           // Lamps too far to matter cost rays and give nothing.
           const float most = std::max({light.radiance.x, light.radiance.y, light.radiance.z});
-          if (most * area / (distance2 + 0.01F) < 1e-3F * most) continue;
+          if (area / (distance2 + 0.01F) * most < kFaintest) continue;
           for (int i = 0; i < kLightSamples; ++i) {
             const Vec3 to = light.centre + light.half_u * random.Range(-1.0F, 1.0F) +
                             light.half_v * random.Range(-1.0F, 1.0F) - point;
@@ -226,8 +235,8 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
             const float area = 4.0F * Length(portal.half_u) * Length(portal.half_v);
             if (Dot(portal.centre - point, portal.inward) > 0.0F) continue;
             for (int i = 0; i < kPortalSamples; ++i) {
-              const float a = (static_cast<float>(i % 3) + random.Unit()) / 1.5F - 1.0F;
-              const float b = static_cast<float>(i / 3) + random.Unit() - 1.0F;
+              const float a = static_cast<float>(i % 2) + random.Unit() - 1.0F;
+              const float b = static_cast<float>(i / 2) + random.Unit() - 1.0F;
               const Vec3 to = portal.centre + portal.half_u * a + portal.half_v * b - point;
               const float r = Length(to);
               const Vec3 towards = to * (1.0F / r);
@@ -243,9 +252,10 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
         return sum;
       },
       direct);
-  Smooth(direct, 1);
+  Smooth(direct, 2);
 
   each_texel(
+      2,
       [&](const Primitive& p, Vec3 point, Vec3 normal, Random& random) {
         const Vec3 u = AnyPerpendicular(normal);
         const Vec3 v = Cross(normal, u);

@@ -735,7 +735,7 @@ Scene BuildTunnel(std::uint64_t seed) {
             black);
     }
     if (i % 2 == 1) {
-      const Vec3 sodium{5200, 3600, 1600};
+      const Vec3 sodium{19000, 13500, 6400};
       b.CeilingLamp({x, 0.0F, spring + half_width - 0.35F}, 0.5F, 0.12F,
                     sodium * b.random.Range(0.6F, 1.3F), black);
     }

@@ -50,7 +50,7 @@ Status Read(const Json& object, const char* key, T& value) {
 }  // namespace
 
 Status Simulation::Validate() const {
-  OMNIHDR_TRY(Check("width", width, 64, 8192));
+  OMNIHDR_TRY(Check("width", width, 128, 8192));
   if (width % 2 != 0) return Fail(ErrorKind::kConfig, "width: {}: expected an even number", width);
   if (samples != 1 && samples != 4 && samples != 9 && samples != 16) {
     return Fail(ErrorKind::kConfig, "samples: {}: expected 1, 4, 9 or 16", samples);

@@ -20,7 +20,7 @@ struct Simulation {
   SceneKind scene = SceneKind::kHall;
   std::uint64_t seed = 1;
   ProjectionKind projection = ProjectionKind::kEquirectangular;
-  int width = 1536;      // of the panorama, 64 to 8192; its height follows
+  int width = 1536;      // of the panorama, 128 to 8192; its height follows
   int samples = 4;       // rays a pixel: 1, 4, 9 or 16
   double start_m = 0.0;  // distance along the path at odometer 0
   MotionOptions motion;

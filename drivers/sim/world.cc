@@ -120,9 +120,8 @@ struct World::Impl {
   std::array<double, 8> sway_phase{};
 
   // Radiance along a ray; `pixel` is the angle between neighbouring samples, radians.
-  Vec3 Trace(Vec3 origin, Vec3 direction, float pixel, const Hit& hit) const {
+  Vec3 Trace(Vec3 direction, float pixel, const Hit& hit) const {
     if (!hit.valid()) return scene.sky.Radiance(direction);
-    static_cast<void>(origin);
     const Primitive& p = geometry.primitives()[static_cast<std::size_t>(hit.primitive)];
     const Material& material = scene.materials[static_cast<std::size_t>(p.material)];
     SurfacePoint at = Surface(p, hit);
@@ -192,9 +191,24 @@ RenderedView World::Render(const Pose& world_from_camera, const Projection& proj
            axis_z * row.second;
   };
 
-  ParallelFor(height, 4, [&](int begin, int end) {
+  ParallelFor(height, 16, [&](int begin, int end) {
+    // Centre hits of these rows and the ones next to them.
+    const int first_row = std::max(0, begin - 1);
+    const int last_row = std::min(height, end + 1);
+    std::vector<Hit> hits(static_cast<std::size_t>(last_row - first_row) *
+                          static_cast<std::size_t>(width));
+    const auto hit_at = [&](int x, int y) -> Hit& {
+      return hits[static_cast<std::size_t>(y - first_row) * static_cast<std::size_t>(width) +
+                  static_cast<std::size_t>((x + width) % width)];
+    };
+    for (int y = first_row; y < last_row; ++y) {
+      const auto row = row_of(y + 0.5);
+      for (int x = 0; x < width; ++x) {
+        hit_at(x, y) = impl.geometry.Intersect(
+            origin, towards(row, centre_direction[static_cast<std::size_t>(x)]));
+      }
+    }
     for (int y = begin; y < end; ++y) {
-      const auto centre_row = row_of(y + 0.5);
       std::array<std::pair<float, float>, 8> fine_rows{};
       for (int i = 0; i < side; ++i) {
         fine_rows[static_cast<std::size_t>(i)] = row_of(y + (i + 0.5) / side);
@@ -206,19 +220,30 @@ RenderedView World::Render(const Pose& world_from_camera, const Projection& proj
       float* radiance = view.radiance.row(y);
       float* distance = view.distance.row(y);
       for (int x = 0; x < width; ++x) {
-        const Vec3 centre = towards(centre_row, centre_direction[static_cast<std::size_t>(x)]);
-        const Hit centre_hit = impl.geometry.Intersect(origin, centre);
-        distance[x] = centre_hit.valid() ? centre_hit.t : std::numeric_limits<float>::infinity();
+        const Hit& centre = hit_at(x, y);
+        distance[x] = centre.valid() ? centre.t : std::numeric_limits<float>::infinity();
+        const auto same_surface = [&](const Hit& other) {
+          return other.primitive == centre.primitive && other.face == centre.face;
+        };
+        // Where the neighbours see the same face nothing lies between: their rays need no search.
+        const bool inside = same_surface(hit_at(x - 1, y)) && same_surface(hit_at(x + 1, y)) &&
+                            (y == first_row || same_surface(hit_at(x, y - 1))) &&
+                            (y + 1 == last_row || same_surface(hit_at(x, y + 1)));
         Vec3 sum;
         for (int sy = 0; sy < side; ++sy) {
           for (int sx = 0; sx < side; ++sx) {
-            // An odd grid has a sample in the centre, traced already.
             const Vec3 direction =
-                side == 1 ? centre
-                          : towards(fine_rows[static_cast<std::size_t>(sy)],
-                                    column_direction[static_cast<std::size_t>(x * side + sx)]);
-            const Hit hit = side == 1 ? centre_hit : impl.geometry.Intersect(origin, direction);
-            sum += impl.Trace(origin, direction, pixel, hit);
+                towards(fine_rows[static_cast<std::size_t>(sy)],
+                        column_direction[static_cast<std::size_t>(x * side + sx)]);
+            Hit hit;
+            if (!inside) {
+              hit = impl.geometry.Intersect(origin, direction);
+            } else if (centre.valid()) {
+              hit = impl.geometry.IntersectOnly(centre.primitive, origin, direction);
+              // A round solid's rim, or a rectangle's, may pass between the samples.
+              if (!hit.valid()) hit = impl.geometry.Intersect(origin, direction);
+            }
+            sum += impl.Trace(direction, pixel, hit);
           }
         }
         sum = sum * inverse_samples;
