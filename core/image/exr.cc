@@ -12,6 +12,7 @@
 #include <OpenEXR/ImfStringAttribute.h>
 #include <half.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -22,6 +23,7 @@ namespace omnihdr {
 namespace {
 
 constexpr float kLargestHalf = 65504.0F;
+constexpr std::size_t kMaxExrValues = 4 * kMaxImagePixels;  // over all channels: 4 GiB of floats
 
 Imf::Compression ToImf(ExrCompression compression) {
   switch (compression) {
@@ -114,6 +116,17 @@ Result<ExrImage> ReadExr(const std::filesystem::path& path) {
       return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected at most {} pixels", path.string(),
                   width, height, kMaxImagePixels);
     }
+    std::size_t channel_count = 0;
+    for (auto it = file.header().channels().begin(); it != file.header().channels().end(); ++it) {
+      ++channel_count;
+    }
+    const std::size_t pixels_allowed = kMaxExrValues / std::max(channel_count, std::size_t{1});
+    if (static_cast<std::size_t>(width) > pixels_allowed / static_cast<std::size_t>(height)) {
+      return Fail(ErrorKind::kData, "{}: {} channels of {}x{} pixels, expected at most {} values",
+                  path.string(), channel_count, width, height, kMaxExrValues);
+    }
+    // Before a small file with a large header makes us allocate what it does not hold.
+    if (!file.isComplete()) return Fail(ErrorKind::kData, "{}: truncated EXR file", path.string());
     ExrImage image;
     image.width = static_cast<int>(width);
     image.height = static_cast<int>(height);
