@@ -1,0 +1,272 @@
+#include "core/image/exr.h"
+
+#include <ImathBox.h>
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfInputFile.h>
+#include <OpenEXR/ImfOutputFile.h>
+#include <OpenEXR/ImfStandardAttributes.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <iterator>
+#include <limits>
+#include <random>
+#include <string>
+
+#include "tests/support/temporary_directory.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+// Radiance over many decades, three channels.
+Image<float> Decades(int width, int height) {
+  std::mt19937 generator(11);
+  std::uniform_real_distribution<float> exponent(-3.0F, 4.0F);
+  Image<float> image(width, height, 3);
+  for (float& v : image.values()) v = std::pow(10.0F, exponent(generator));
+  return image;
+}
+
+std::string FileBytes(const std::filesystem::path& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+void WriteBytes(const std::filesystem::path& path, const std::string& bytes) {
+  std::ofstream(path, std::ios::binary)
+      .write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+}
+
+class Exr : public ::testing::Test {
+ protected:
+  std::filesystem::path path() const { return directory_.path() / "picture.exr"; }
+  testing::TemporaryDirectory directory_;
+};
+
+TEST_F(Exr, FloatChannelsComeBackToTheLastBitInEveryCompression) {
+  Image<float> image = Decades(33, 17);
+  image.at(4, 5, 1) = kNan;
+  image.at(6, 7, 2) = kInfinity;
+  for (const ExrCompression compression :
+       {ExrCompression::kNone, ExrCompression::kZips, ExrCompression::kZip, ExrCompression::kPiz}) {
+    ASSERT_TRUE(WriteExr(path(),
+                         {{"R", image, ExrPixelType::kFloat, 0},
+                          {"G", image, ExrPixelType::kFloat, 1},
+                          {"B", image, ExrPixelType::kFloat, 2}},
+                         {}, compression));
+    const Result<ExrImage> back = ReadExr(path());
+    ASSERT_TRUE(back) << back.error().message;
+    ASSERT_EQ(back->width, 33);
+    ASSERT_EQ(back->height, 17);
+    ASSERT_EQ(back->channels.size(), 3U);
+    const std::array<const Image<float>*, 3> channels = {
+        &back->channels.at("R"), &back->channels.at("G"), &back->channels.at("B")};
+    for (int y = 0; y < 17; ++y) {
+      for (int x = 0; x < 33; ++x) {
+        for (int c = 0; c < 3; ++c) {
+          const float expected = image.at(x, y, c);
+          const float got = channels[static_cast<std::size_t>(c)]->at(x, y);
+          if (std::isnan(expected)) {
+            EXPECT_TRUE(std::isnan(got));
+          } else {
+            EXPECT_EQ(got, expected);
+          }
+        }
+      }
+    }
+  }
+}
+
+TEST_F(Exr, HalfChannelsComeBackToElevenBits) {
+  const Image<float> image = Decades(33, 17);
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image, ExrPixelType::kHalf, 1}}, {}));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  for (int y = 0; y < 17; ++y) {
+    for (int x = 0; x < 33; ++x) {
+      const float expected = image.at(x, y, 1);
+      EXPECT_NEAR(back->channels.at("Y").at(x, y), expected, expected / 2048.0F);
+    }
+  }
+}
+
+TEST_F(Exr, WhatHalfCannotHoldIsClampedAndNanIsKept) {
+  Image<float> image(4, 1);
+  image.at(0, 0) = 1e6F;
+  image.at(1, 0) = -kInfinity;
+  image.at(2, 0) = kNan;
+  image.at(3, 0) = 65504.0F;
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image, ExrPixelType::kHalf, 0}}, {}));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  const Image<float>& y = back->channels.at("Y");
+  EXPECT_EQ(y.at(0, 0), 65504.0F);
+  EXPECT_EQ(y.at(1, 0), -65504.0F);
+  EXPECT_TRUE(std::isnan(y.at(2, 0)));
+  EXPECT_EQ(y.at(3, 0), 65504.0F);
+}
+
+TEST_F(Exr, ALatLongPictureSaysSo) {
+  const Image<float> image(8, 4, 1, 1.0F);
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image}}, {.latlong = true, .strings = {}, .floats = {}}));
+  {
+    const Imf::InputFile file(path().c_str());
+    ASSERT_TRUE(Imf::hasEnvmap(file.header()));
+    EXPECT_EQ(Imf::envmap(file.header()), Imf::ENVMAP_LATLONG);
+  }
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image}}, {.latlong = false, .strings = {}, .floats = {}}));
+  const Imf::InputFile file(path().c_str());
+  EXPECT_FALSE(Imf::hasEnvmap(file.header()));
+}
+
+TEST_F(Exr, AttributesAreReadBack) {
+  const Image<float> image(8, 4, 1, 1.0F);
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image}},
+                       {.latlong = true,
+                        .strings = {{"software", "a test"}, {"omnihdrPosition", "12"}},
+                        .floats = {{"expTime", 0.25}}}));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  EXPECT_EQ(back->strings.at("software"), "a test");
+  EXPECT_EQ(back->strings.at("omnihdrPosition"), "12");
+  const Imf::InputFile file(path().c_str());
+  ASSERT_TRUE(Imf::hasExpTime(file.header()));
+  EXPECT_FLOAT_EQ(Imf::expTime(file.header()), 0.25F);
+}
+
+TEST_F(Exr, ADataWindowAwayFromTheOriginIsRead) {
+  const Imath::Box2i display(Imath::V2i(0, 0), Imath::V2i(99, 99));
+  const Imath::Box2i data(Imath::V2i(-5, 20), Imath::V2i(4, 26));
+  Imf::Header header(display, data);
+  header.channels().insert("Y", Imf::Channel(Imf::FLOAT));
+  Image<float> pixels(10, 7);
+  for (std::size_t k = 0; k < pixels.size(); ++k) pixels.data()[k] = static_cast<float>(k);
+  {
+    Imf::OutputFile file(path().c_str(), header);
+    Imf::FrameBuffer frame_buffer;
+    frame_buffer.insert("Y", Imf::Slice::Make(Imf::FLOAT, pixels.data(), data));
+    file.setFrameBuffer(frame_buffer);
+    file.writePixels(7);
+  }
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  ASSERT_EQ(back->width, 10);
+  ASSERT_EQ(back->height, 7);
+  EXPECT_EQ(back->channels.at("Y").at(0, 0), 0.0F);
+  EXPECT_EQ(back->channels.at("Y").at(9, 6), 69.0F);
+}
+
+TEST_F(Exr, ChannelsOfDifferentSizesAreRefused) {
+  const Image<float> a(8, 4);
+  const Image<float> b(4, 4);
+  EXPECT_FALSE(WriteExr(path(), {{"A", a}, {"B", b}}, {}));
+  EXPECT_FALSE(WriteExr(path(), {}, {}));
+}
+
+TEST_F(Exr, AFileThatCannotBeMadeIsAnErrorThatNamesIt) {
+  const Image<float> image(8, 4);
+  const Status status =
+      WriteExr(directory_.path() / "no" / "such" / "folder.exr", {{"Y", image}}, {});
+  ASSERT_FALSE(status);
+  EXPECT_NE(status.error().message.find("folder.exr"), std::string::npos);
+}
+
+TEST_F(Exr, ATruncatedFileIsRefusedAndNamed) {
+  const Image<float> image = Decades(33, 17);
+  ASSERT_TRUE(WriteExr(
+      path(), {{"R", image, ExrPixelType::kFloat, 0}, {"G", image, ExrPixelType::kHalf, 1}}, {}));
+  const std::string whole = FileBytes(path());
+  const std::filesystem::path cut = directory_.path() / "cut.exr";
+  for (std::size_t size = 0; size < whole.size(); size += 1 + whole.size() / 97) {
+    WriteBytes(cut, whole.substr(0, size));
+    const Result<ExrImage> back = ReadExr(cut);
+    EXPECT_FALSE(back) << "with " << size << " of " << whole.size() << " bytes";
+    if (!back) {
+      EXPECT_NE(back.error().message.find("cut.exr"), std::string::npos);
+    }
+  }
+}
+
+TEST_F(Exr, WhatIsNoExrIsRefused) {
+  for (const std::string& text : {std::string(), std::string("hello"), std::string(5000, 'x')}) {
+    WriteBytes(path(), text);
+    EXPECT_FALSE(ReadExr(path()));
+  }
+  EXPECT_FALSE(ReadExr(directory_.path() / "missing.exr"));
+}
+
+TEST_F(Exr, GarbageInsideNeverCrashes) {
+  const Image<float> image = Decades(21, 9);
+  ASSERT_TRUE(WriteExr(
+      path(), {{"R", image, ExrPixelType::kFloat, 0}, {"G", image, ExrPixelType::kHalf, 1}},
+      {.latlong = true, .strings = {{"a", "b"}}, .floats = {}}, ExrCompression::kPiz));
+  const std::string whole = FileBytes(path());
+  std::mt19937 generator(5);
+  const std::filesystem::path bad = directory_.path() / "bad.exr";
+  for (int round = 0; round < 300; ++round) {
+    std::string bytes = whole;
+    for (int k = 0; k < 1 + round % 4; ++k) {
+      bytes[generator() % bytes.size()] = static_cast<char>(generator() & 0xFFU);
+    }
+    WriteBytes(bad, bytes);
+    const Result<ExrImage> back = ReadExr(bad);
+    if (!back) {
+      EXPECT_NE(back.error().message.find("bad.exr"), std::string::npos);
+    }
+  }
+}
+
+// The file with its data window (and display window) replaced.
+std::string WithWindow(std::string bytes, std::int32_t x0, std::int32_t y0, std::int32_t x1,
+                       std::int32_t y1) {
+  for (const char* name : {"dataWindow", "displayWindow"}) {
+    const std::size_t at = bytes.find(name);
+    EXPECT_NE(at, std::string::npos);
+    // name, zero, "box2i", zero, 4 bytes of size, four numbers
+    char* p = bytes.data() + at + std::strlen(name) + 1 + 6 + 4;
+    for (const std::int32_t v : {x0, y0, x1, y1}) {
+      std::memcpy(p, &v, 4);
+      p += 4;
+    }
+  }
+  return bytes;
+}
+
+TEST_F(Exr, AHeaderThatClaimsMorePixelsThanAllowedIsRefused) {
+  const Image<float> image(16, 8, 1, 1.0F);
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image, ExrPixelType::kFloat, 0}}, {}));
+  const std::string whole = FileBytes(path());
+  const std::filesystem::path huge = directory_.path() / "huge.exr";
+  WriteBytes(huge, WithWindow(whole, 0, 0, 1 << 20, 1 << 20));
+  EXPECT_FALSE(ReadExr(huge));
+  WriteBytes(huge, WithWindow(whole, 0, 0, (1 << 16) - 1, (1 << 13) - 1));
+  const Result<ExrImage> back = ReadExr(huge);
+  ASSERT_FALSE(back);
+  WriteBytes(huge, WithWindow(whole, std::numeric_limits<std::int32_t>::min() / 2, 0,
+                              std::numeric_limits<std::int32_t>::max() / 2, 1));
+  EXPECT_FALSE(ReadExr(huge));
+}
+
+TEST_F(Exr, ASmallFileWithManyLargeChannelsIsRefused) {
+  // Few bytes that would unfold to 64 channels of 2^26 pixels: 16 GiB.
+  const Image<float> tiny(16, 8, 1, 0.0F);
+  std::vector<ExrChannel> channels;
+  for (int k = 0; k < 64; ++k) channels.push_back({fmt::format("c{}", k), tiny});
+  ASSERT_TRUE(WriteExr(path(), channels, {}, ExrCompression::kZip));
+  // Long enough to hold what would be the table of chunks.
+  WriteBytes(path(), WithWindow(FileBytes(path()) + std::string(1 << 16, '\1'), 0, 0, 8191, 8191));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_FALSE(back);
+  EXPECT_NE(back.error().message.find("expected at most"), std::string::npos)
+      << back.error().message;
+}
+
+}  // namespace
+}  // namespace omnihdr
