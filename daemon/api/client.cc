@@ -1,0 +1,113 @@
+#include "daemon/api/client.h"
+
+#include <httplib.h>
+#include <sys/socket.h>
+
+#include <string_view>
+
+namespace omnihdr {
+namespace {
+
+constexpr std::size_t kMaxLineBytes = std::size_t{1} << 20;
+
+httplib::Client Connect(const std::filesystem::path& socket, Nanoseconds timeout) {
+  httplib::Client client(socket.string(), 80);
+  client.set_address_family(AF_UNIX);
+  client.set_socket_options([](socket_t) {});
+  client.set_connection_timeout(timeout);
+  client.set_read_timeout(timeout);
+  client.set_write_timeout(timeout);
+  client.set_default_headers({{"Host", "localhost"}, {"Accept-Encoding", "identity"}});
+  return client;
+}
+
+tl::unexpected<Error> NoAnswer(const std::filesystem::path& socket, httplib::Error error) {
+  if (error == httplib::Error::Connection || error == httplib::Error::ConnectionTimeout) {
+    return Fail(ErrorKind::kUnavailable, "{}: no omnihdrd answers here: is it running?",
+                socket.string());
+  }
+  return Fail(ErrorKind::kUnavailable, "{}: the daemon did not answer ({})", socket.string(),
+              httplib::to_string(error));
+}
+
+tl::unexpected<Error> Refusal(int http_status, const std::string& body) {
+  const auto json = nlohmann::json::parse(body, nullptr, false);
+  std::string message = json.is_object() && json.contains("error") && json["error"].is_string()
+                            ? json["error"].get<std::string>()
+                            : fmt::format("the daemon answered HTTP {}", http_status);
+  ErrorKind kind = ErrorKind::kSoftware;
+  if (http_status == 503) kind = ErrorKind::kTemporary;
+  if (http_status == 409) kind = ErrorKind::kUnavailable;
+  if (http_status == 400 || http_status == 404 || http_status == 405 || http_status == 413) {
+    kind = ErrorKind::kUsage;
+  }
+  return tl::unexpected<Error>(Error{kind, std::move(message)});
+}
+
+Result<std::string> Body(const std::filesystem::path& socket, const httplib::Result& result) {
+  if (!result) return NoAnswer(socket, result.error());
+  if (result->status != 200) return Refusal(result->status, result->body);
+  return result->body;
+}
+
+Result<nlohmann::json> AsJson(const std::string& body) {
+  auto json = nlohmann::json::parse(body, nullptr, false);
+  if (!json.is_object()) {
+    return Fail(ErrorKind::kProtocol, "the daemon's answer is not a JSON object");
+  }
+  return json;
+}
+
+}  // namespace
+
+Result<std::string> ApiClient::GetText(const std::string& route) {
+  httplib::Client client = Connect(socket_, timeout_);
+  return Body(socket_, client.Get(route));
+}
+
+Result<nlohmann::json> ApiClient::Get(const std::string& route) {
+  OMNIHDR_ASSIGN(const std::string body, GetText(route));
+  return AsJson(body);
+}
+
+Result<nlohmann::json> ApiClient::Post(const std::string& route, const nlohmann::json& body) {
+  httplib::Client client = Connect(socket_, timeout_);
+  OMNIHDR_ASSIGN(const std::string answer,
+                 Body(socket_, client.Post(route, body.dump(), "application/json")));
+  return AsJson(answer);
+}
+
+Status ApiClient::Events(const std::function<bool(const std::string&)>& line) {
+  httplib::Client client = Connect(socket_, timeout_);
+  std::string pending;
+  bool enough = false;
+  int status = 0;
+  const httplib::Result result = client.Get(
+      "/v1/events",
+      [&](const httplib::Response& response) {
+        status = response.status;
+        return true;
+      },
+      [&](const char* data, std::size_t size) {
+        pending.append(data, size);
+        if (status != 200) return pending.size() <= kMaxLineBytes;
+        for (std::size_t end = pending.find('\n'); end != std::string::npos;
+             end = pending.find('\n')) {
+          const std::string event = pending.substr(0, end);
+          pending.erase(0, end + 1);
+          if (!event.empty() && !line(event)) {
+            enough = true;
+            return false;
+          }
+        }
+        return pending.size() <= kMaxLineBytes;
+      });
+  if (enough) return {};
+  if (status != 0 && status != 200) return Refusal(status, pending);
+  // The daemon's end may cut the stream anywhere: once it has begun, that is its end, not a
+  // failure.
+  if (!result && status == 0) return NoAnswer(socket_, result.error());
+  return {};
+}
+
+}  // namespace omnihdr

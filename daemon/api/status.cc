@@ -1,0 +1,217 @@
+#include "daemon/api/status.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <iterator>
+
+namespace omnihdr {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr std::array<FrameStatus, kFrameStatusCount> kStatuses = {
+    FrameStatus::kOk,      FrameStatus::kMissedTrigger,    FrameStatus::kCameraTimeout,
+    FrameStatus::kCorrupt, FrameStatus::kExposureMismatch, FrameStatus::kDiskFull};
+constexpr std::array<CaptureState, 8> kStates = {
+    CaptureState::kStarting, CaptureState::kWaitingForCamera, CaptureState::kIdle,
+    CaptureState::kArmed,    CaptureState::kDegraded,         CaptureState::kStorageFull,
+    CaptureState::kFault,    CaptureState::kStopping};
+
+// Untrusted text (camera names, paths) made valid UTF-8, so that it can be dumped.
+std::string Utf8(const std::string& text) {
+  return Json::parse(Json(text).dump(-1, ' ', false, Json::error_handler_t::replace))
+      .get<std::string>();
+}
+
+class Metrics {
+ public:
+  void Family(std::string_view name, std::string_view type, std::string_view help) {
+    fmt::format_to(std::back_inserter(text_), "# HELP {0} {2}\n# TYPE {0} {1}\n", name, type, help);
+  }
+  void Sample(std::string_view name, std::string_view labels, double value) {
+    if (labels.empty()) {
+      fmt::format_to(std::back_inserter(text_), "{} {}\n", name, value);
+    } else {
+      fmt::format_to(std::back_inserter(text_), "{}{{{}}} {}\n", name, labels, value);
+    }
+  }
+  void One(std::string_view name, std::string_view type, std::string_view help, double value) {
+    Family(name, type, help);
+    Sample(name, "", value);
+  }
+  std::string Take() { return std::move(text_); }
+
+ private:
+  std::string text_;
+};
+
+double AsDouble(std::uint64_t value) { return static_cast<double>(value); }
+
+}  // namespace
+
+Json StatusToJson(const StatusReport& s) {
+  Json drops = Json::object();
+  std::uint64_t dropped = 0;
+  for (const FrameStatus status : kStatuses) {
+    if (status == FrameStatus::kOk) continue;
+    drops[std::string(ToString(status))] = s.lines[status];
+    dropped += s.lines[status];
+  }
+  Json json = {
+      {"version", s.version},
+      {"uptime_s", s.uptime_s},
+      {"state", ToString(s.state.state)},
+      {"reason", Utf8(s.state.reason)},
+      {"session",
+       {{"directory", Utf8(s.session_directory)},
+        {"resumed", s.session_resumed},
+        {"ended", s.session_ended}}},
+      {"camera",
+       {{"ready", s.camera_ready},
+        {"model", Utf8(s.camera_model)},
+        {"serial", Utf8(s.camera_serial)}}},
+      {"armed", s.armed},
+      {"trigger_source", s.trigger_source},
+      {"triggers",
+       {{"accepted", s.triggers},
+        {"in_flight", s.triggers_in_flight},
+        {"ignored", s.triggers_ignored},
+        {"refused", s.capture.refused},
+        {"late_frames", s.capture.late_frames},
+        {"camera_gaps", s.capture.camera_gaps},
+        {"lost_unlisted", s.capture.lost_unlisted}}},
+      {"positions_triggered", s.positions_triggered},
+      {"frames_recorded", s.lines[FrameStatus::kOk]},
+      {"frames_dropped", dropped},
+      {"drops", drops},
+      {"views",
+       {{"enabled", s.pipeline_enabled},
+        {"finished", s.views_finished},
+        {"backlog", s.backlog},
+        {"last", s.last_view ? Json(*s.last_view) : Json(nullptr)},
+        {"error", Utf8(s.views_error)}}},
+      {"odometer_m",
+       s.odometer_m && std::isfinite(*s.odometer_m) ? Json(*s.odometer_m) : Json(nullptr)},
+      {"buffers", {{"free", s.buffers_free}, {"of", s.buffers}}},
+  };
+  if (s.bracket_steps > 0) {
+    json["bracket"] = {{"order", s.bracket_order},
+                       {"step", s.bracket_step},
+                       {"steps", s.bracket_steps},
+                       {"exposure_s", s.exposure.time.seconds()},
+                       {"gain_db", s.exposure.gain.value}};
+  } else {
+    json["bracket"] = nullptr;
+  }
+  return json;
+}
+
+std::string StatusToMetrics(const StatusReport& s) {
+  Metrics m;
+  m.Family("omnihdr_build_info", "gauge", "Version of the daemon.");
+  m.Sample("omnihdr_build_info", fmt::format("version=\"{}\"", s.version), 1.0);
+  m.One("omnihdr_uptime_seconds", "gauge", "Seconds since the daemon started.", s.uptime_s);
+  m.Family("omnihdr_state", "gauge", "1 for the state the appliance is in.");
+  for (const CaptureState state : kStates) {
+    m.Sample("omnihdr_state", fmt::format("state=\"{}\"", ToString(state)),
+             state == s.state.state ? 1.0 : 0.0);
+  }
+  m.One("omnihdr_camera_ready", "gauge", "1 when a camera is open.", s.camera_ready ? 1.0 : 0.0);
+  m.One("omnihdr_triggers_total", "counter", "Triggers of the session.", AsDouble(s.triggers));
+  m.One("omnihdr_triggers_in_flight", "gauge", "Triggers not yet journaled.",
+        AsDouble(s.triggers_in_flight));
+  m.One("omnihdr_triggers_ignored_total", "counter",
+        "Trigger events while disarmed or without a session.", AsDouble(s.triggers_ignored));
+  m.One("omnihdr_triggers_refused_total", "counter", "Triggers without room for a line.",
+        AsDouble(s.capture.refused));
+  m.Family("omnihdr_frames_total", "counter", "Journal lines of the session by status.");
+  for (const FrameStatus status : kStatuses) {
+    m.Sample("omnihdr_frames_total", fmt::format("status=\"{}\"", ToString(status)),
+             AsDouble(s.lines[status]));
+  }
+  m.One("omnihdr_late_frames_total", "counter", "Frames that came after their deadline.",
+        AsDouble(s.capture.late_frames));
+  m.One("omnihdr_camera_gaps_total", "counter", "Frames the camera's counter says were lost.",
+        AsDouble(s.capture.camera_gaps));
+  m.One("omnihdr_views_finished", "gauge", "Views of the session on disk.",
+        AsDouble(s.views_finished));
+  m.One("omnihdr_views_backlog", "gauge", "Positions with pixels whose view is not on disk.",
+        static_cast<double>(s.backlog));
+  m.One("omnihdr_buffers_free", "gauge", "Free frame buffers.", AsDouble(s.buffers_free));
+  if (s.bracket_steps > 0) {
+    m.One("omnihdr_next_exposure_seconds", "gauge", "Exposure of the next trigger.",
+          s.exposure.time.seconds());
+  }
+  if (s.odometer_m) m.One("omnihdr_odometer_metres", "gauge", "Way travelled.", *s.odometer_m);
+  return m.Take();
+}
+
+std::string StatusForPeople(const Json& s) {
+  std::string text;
+  const auto line = [&text](std::string_view name, const std::string& value) {
+    fmt::format_to(std::back_inserter(text), "{:<12}{}\n", name, value);
+  };
+  line("state",
+       fmt::format("{} ({})", s.at("state").get<std::string>(), s.at("reason").get<std::string>()));
+  const Json& session = s.at("session");
+  const std::string directory = session.at("directory").get<std::string>();
+  line("session", directory.empty()
+                      ? "none yet"
+                      : directory + (session.at("ended").get<bool>()     ? " (ended)"
+                                     : session.at("resumed").get<bool>() ? " (continued)"
+                                                                         : ""));
+  const Json& camera = s.at("camera");
+  line("camera", fmt::format("{}{}", camera.at("model").get<std::string>(),
+                             camera.at("ready").get<bool>() ? "" : " (not ready)"));
+  line("positions",
+       fmt::format("{} triggered by {}", s.at("positions_triggered").get<std::int64_t>(),
+                   s.at("trigger_source").get<std::string>()));
+  std::string drops;
+  for (const auto& [reason, count] : s.at("drops").items()) {
+    if (count.get<std::uint64_t>() == 0) continue;
+    fmt::format_to(std::back_inserter(drops), "{}{} {}", drops.empty() ? "" : ", ", reason,
+                   count.get<std::uint64_t>());
+  }
+  line("frames", fmt::format("{} recorded, {} lost{}", s.at("frames_recorded").get<std::uint64_t>(),
+                             s.at("frames_dropped").get<std::uint64_t>(),
+                             drops.empty() ? "" : " (" + drops + ")"));
+  const Json& views = s.at("views");
+  if (views.at("enabled").get<bool>()) {
+    const std::string error = views.at("error").get<std::string>();
+    line("views",
+         fmt::format("{} finished, backlog {}{}", views.at("finished").get<std::uint64_t>(),
+                     views.at("backlog").get<std::int64_t>(),
+                     error.empty() ? "" : " (stalled: " + error + ")"));
+  } else {
+    line("views", "not made here (pipeline.enabled = false)");
+  }
+  if (const Json& bracket = s.at("bracket"); bracket.is_object()) {
+    line("next", fmt::format("{:.6g} s, step {} of {} ({})", bracket.at("exposure_s").get<double>(),
+                             bracket.at("step").get<int>() + 1, bracket.at("steps").get<int>(),
+                             bracket.at("order").get<std::string>()));
+  }
+  if (const Json& odometer = s.at("odometer_m"); odometer.is_number()) {
+    line("odometer", fmt::format("{:.2f} m", odometer.get<double>()));
+  }
+  line("daemon", fmt::format("version {}, up {:.0f} s", s.at("version").get<std::string>(),
+                             s.at("uptime_s").get<double>()));
+  return text;
+}
+
+std::string ProgressLine(const Json& s) {
+  const Json& views = s.at("views");
+  std::string text = fmt::format(
+      "{:<9} positions {}  frames {}  views {}  backlog {}", s.at("state").get<std::string>(),
+      s.at("positions_triggered").get<std::int64_t>(), s.at("frames_recorded").get<std::uint64_t>(),
+      views.at("finished").get<std::uint64_t>(), views.at("backlog").get<std::int64_t>());
+  if (const auto dropped = s.at("frames_dropped").get<std::uint64_t>(); dropped > 0) {
+    text += fmt::format("  lost {}", dropped);
+  }
+  if (const std::string error = views.at("error").get<std::string>(); !error.empty()) {
+    text += fmt::format("  views stalled: {}", error);
+  }
+  return text;
+}
+
+}  // namespace omnihdr

@@ -1,0 +1,63 @@
+#pragma once
+
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+
+#include "core/capture/capture_controller.h"
+#include "core/capture/capture_state.h"
+#include "core/capture/trigger_ledger.h"
+
+namespace omnihdr {
+
+// All that the daemon tells about itself, at one moment.
+struct StatusReport {
+  std::string version;
+  double uptime_s = 0.0;
+  StateReport state;
+
+  std::string session_directory;  // empty before there is a session
+  bool session_resumed = false;   // continued from an earlier run
+  bool session_ended = false;     // all views are finished; nothing can be added
+
+  bool camera_ready = false;
+  std::string camera_model;
+  std::string camera_serial;
+
+  bool armed = false;
+  std::string trigger_source;
+  std::uint64_t triggers = 0;            // of the session, earlier runs included
+  std::uint64_t triggers_in_flight = 0;  // not yet journaled
+  std::uint64_t triggers_ignored = 0;    // came while disarmed or without a session; this run
+  std::int64_t positions_triggered = 0;
+  OutcomeCounts lines;    // journal lines of the session by status
+  CaptureCounts capture;  // this run
+
+  bool pipeline_enabled = true;
+  std::uint64_t views_finished = 0;       // on disk
+  std::int64_t backlog = 0;               // positions with pixels whose view is not on disk
+  std::optional<std::int64_t> last_view;  // position
+  std::string views_error;                // what keeps the pipeline from working
+
+  // Of the next trigger; steps = 0 before the camera has told its limits.
+  int bracket_step = 0;
+  int bracket_steps = 0;
+  std::string bracket_order;
+  Exposure exposure;
+
+  std::optional<double> odometer_m;
+  std::uint64_t buffers_free = 0;
+  std::uint64_t buffers = 0;
+};
+
+// The body of GET /v1/status. Keys may be added, not changed.
+nlohmann::json StatusToJson(const StatusReport& status);
+// The body of GET /metrics, Prometheus text format 0.0.4.
+std::string StatusToMetrics(const StatusReport& status);
+// For people, several lines, from the JSON form.
+std::string StatusForPeople(const nlohmann::json& status);
+// One line: "armed  positions 12  frames 11  views 9  backlog 2 ...".
+std::string ProgressLine(const nlohmann::json& status);
+
+}  // namespace omnihdr

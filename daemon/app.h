@@ -1,0 +1,197 @@
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "core/base/clock.h"
+#include "core/base/result.h"
+#include "core/base/stage.h"
+#include "core/capture/camera_runner.h"
+#include "core/capture/capture_controller.h"
+#include "core/capture/capture_state.h"
+#include "core/capture/recorder.h"
+#include "core/pipeline/session_processor.h"
+#include "core/ports/camera.h"
+#include "core/ports/trigger.h"
+#include "daemon/api/event_hub.h"
+#include "daemon/api/server.h"
+#include "daemon/config.h"
+#include "daemon/event_loop.h"
+#include "daemon/logging.h"
+#include "daemon/session_choice.h"
+#include "daemon/supervisor.h"
+#include "daemon/watchdog.h"
+
+namespace omnihdr {
+
+// What the daemon is put together from: made from the configuration by parts.h, from doubles in
+// tests.
+struct AppParts {
+  std::shared_ptr<Camera> camera;
+  std::unique_ptr<TriggerSource> triggers;
+  std::shared_ptr<PositionSource> positions;  // may be null
+  // Opens the pipeline over a session directory; empty = no views are made here.
+  std::function<Result<std::unique_ptr<SessionProcessor>>(const std::filesystem::path& session,
+                                                          ProcessorCallbacks callbacks)>
+      open_pipeline;
+};
+struct PartsContext {
+  std::uint64_t first_trigger =
+      0;                       // number of the next trigger: more than 0 in a continued session
+  std::function<bool()> room;  // whether a frame buffer is free; any thread
+};
+using MakeParts = std::function<Result<AppParts>(const PartsContext&)>;
+
+// The bracket a configuration asks for.
+BracketOptions MakeBracketOptions(const BracketConfig& config);
+
+// The daemon. Everything is built in order by Run and torn down in reverse; data flow one way:
+//   trigger (main loop) -> controller -> camera (own thread) -> recorder (own thread) -> journal on
+//   disk
+//   -> pipeline (own thread, lowest priority), which reads the journal like any other tool would.
+// Ends in one of three ways:
+//   SIGTERM, SIGINT   triggers stop, frames on their way are journaled, the pipeline finishes the
+//   step it
+//                     is in; the session stays open and the next start goes on with it
+//                     (session_choice.h)
+//   stop              the session is ended first: all views are finished
+//   finish, or the end of the trigger series: the session is ended, the daemon keeps serving
+class App final : public ApiBackend {
+ public:
+  App(DaemonConfig config, SessionChoice choice, MakeParts make_parts);
+  ~App() override;
+
+  // Runs until the daemon is told to stop. An error decides the exit code. BlockSignals() must have
+  // been called before any thread was made.
+  Status Run();
+
+  Result<StatusReport> GetStatus() override;
+  ApiReply Arm() override;
+  ApiReply Disarm() override;
+  ApiReply Trigger() override;
+  ApiReply Finish() override;
+  ApiReply Stop(bool leave_session_open) override;
+
+ private:
+  // A session that is open for writing.
+  struct Session {
+    explicit Session(SessionWriter writer) : store(std::move(writer)) {}
+    SessionFrameStore store;  // the recorder's thread, once that runs
+    std::filesystem::path directory;
+    SessionInfo info;
+    bool resumed = false;
+  };
+  enum class Phase {
+    kRunning,
+    kEnding,    // no more triggers; the views are being finished
+    kEnded,     // the session is complete
+    kStopping,  // waiting for frames on their way, then leaving
+  };
+
+  // Startup, main thread.
+  Status ResumeSession();
+  Status StartLoop();
+  void StartStages();
+  void StartSessionStages();
+  Status TearDown();
+
+  // Camera thread.
+  Status RunCamera(std::stop_token stop, Stage& self);
+  Status OnCameraOpened(const CameraInfo& info);
+  void OnCameraAway(const Error& error);
+  // Recorder thread.
+  Status RunRecorder(std::stop_token stop, Stage& self);
+  void OnJournaled(const FrameRecord& record);
+  // Pipeline thread.
+  Status RunPipeline(std::stop_token stop, Stage& self);
+  Status FinishViews(SessionProcessor* processor);
+  void OnViewDone(const ViewDone& view);
+  void SetViewsError(const std::string& error);
+  void WaitForJournal(std::stop_token stop, Nanoseconds timeout);
+
+  // Main loop.
+  void OnSignal(int signal);
+  void OnTriggersReady();
+  Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
+  void StartSource();
+  void StopSource();
+  void CheckSeriesEnd();
+  void EndSession(const std::string& reason, bool exit_after);
+  void StopNow(const std::string& reason);
+  void CheckDrained();
+  bool Drained() const;
+  void Supervise();
+  void OnSessionEnded();
+  void OnStateChanged(const StateReport& report);
+  void ScheduleCaptureTimer();
+  StatusReport BuildStatus() const;
+  ApiReply OnLoop(std::function<ApiReply()> function);
+  ApiReply ArmNow();
+
+  std::shared_ptr<Session> session() const;
+  CaptureController* controller() const { return controller_.load(std::memory_order_acquire); }
+  void PostOrLog(EventLoop::Callback message);
+
+  const DaemonConfig config_;
+  const SessionChoice choice_;
+  const MakeParts make_parts_;
+  AppParts parts_;
+  const SystemClock clock_;
+  const HostTime started_ = clock_.Now();
+  ServiceNotifier notifier_;
+  EventHub hub_;
+  CaptureStateMachine state_;
+  std::unique_ptr<EventLoop> loop_;
+
+  mutable std::mutex mutex_;  // of what follows, up to the blank line
+  std::shared_ptr<Session> session_;
+  std::string camera_model_;
+  std::string camera_serial_;
+  OutcomeCounts lines_;
+  std::uint64_t journaled_ = 0;
+  std::uint64_t positions_with_pixels_ = 0;
+  std::int64_t last_position_with_pixels_ = -1;
+  SessionProcessor::Counts views_;
+  bool views_caught_up_ = false;
+  std::optional<std::int64_t> last_view_;
+  std::string views_error_;
+  bool finish_views_ = false;
+  std::condition_variable_any journal_grew_;
+
+  // Loop thread.
+  Phase phase_ = Phase::kRunning;
+  bool exit_after_end_ = false;
+  bool armed_ = false;
+  bool source_running_ = false;
+  int watched_fd_ = -1;
+  std::uint64_t ignored_triggers_ = 0;
+  std::string end_reason_;
+  HostTime stop_deadline_;
+  Status outcome_;
+  EventLoop::Timer* trigger_timer_ = nullptr;
+  EventLoop::Timer* capture_timer_ = nullptr;
+  EventLoop::Timer* drain_timer_ = nullptr;
+  EventLoop::Timer* supervise_timer_ = nullptr;
+  Supervisor supervisor_;
+  Nanoseconds supervise_interval_ = std::chrono::seconds(1);
+  std::atomic<bool> stopping_ = false;
+
+  Recorder recorder_;
+  FloodGate drop_log_;     // recorder thread
+  FloodGate storage_log_;  // recorder thread
+  std::unique_ptr<CaptureController> owned_controller_;
+  std::atomic<CaptureController*> controller_ = nullptr;
+  std::unique_ptr<CameraRunner> runner_;
+  std::unique_ptr<ApiServer> api_;
+  std::unique_ptr<Stage> pipeline_stage_;
+  std::unique_ptr<Stage> recorder_stage_;
+  std::unique_ptr<Stage> camera_stage_;
+};
+
+}  // namespace omnihdr

@@ -1,0 +1,22 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "core/base/clock.h"
+
+namespace omnihdr {
+
+// Tells the service manager how we are (sd_notify). Does nothing when there is none. Any thread.
+class ServiceNotifier {
+ public:
+  void Ready();
+  void Stopping();
+  void StatusText(std::string_view text);
+  void FeedWatchdog();
+  // How often the manager wants to be fed at the latest; nothing when it does not watch us.
+  std::optional<Nanoseconds> WatchdogInterval() const;
+};
+
+}  // namespace omnihdr
