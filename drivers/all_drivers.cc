@@ -7,8 +7,8 @@
 
 namespace omnihdr {
 
-const std::vector<CameraDriver>& CameraDrivers() {
-  static const std::vector<CameraDriver> drivers{
+const std::vector<CameraDriverEntry>& CameraDrivers() {
+  static const std::vector<CameraDriverEntry> drivers{
       {"sim", "a simulated camera in a rendered HDR world"},
       {"replay", "a recorded session as a camera"},
   };
@@ -19,7 +19,7 @@ Result<CameraOptions> DefaultCameraOptions(std::string_view driver) {
   if (driver == "sim") return CameraOptions(sim::SimCameraOptions{});
   if (driver == "replay") return CameraOptions(ReplayOptions{});
   std::string known;
-  for (const CameraDriver& each : CameraDrivers()) {
+  for (const CameraDriverEntry& each : CameraDrivers()) {
     known += fmt::format("{}{}", known.empty() ? "" : ", ", each.name);
   }
   return Fail(ErrorKind::kConfig, "camera driver: {}: expected one of {}", driver, known);

@@ -15,13 +15,13 @@ namespace omnihdr {
 // The options of any camera driver; which alternative it is decides which driver is made.
 using CameraOptions = std::variant<sim::SimCameraOptions, ReplayOptions>;
 
-struct CameraDriver {
+struct CameraDriverEntry {
   std::string_view name;     // as in configuration files
   std::string_view summary;  // one line for people
 };
 
 // Every camera driver of this build, in the order of CameraOptions.
-const std::vector<CameraDriver>& CameraDrivers();
+const std::vector<CameraDriverEntry>& CameraDrivers();
 
 // Options of a driver with their defaults; kConfig error listing the known names.
 Result<CameraOptions> DefaultCameraOptions(std::string_view driver);

@@ -350,7 +350,7 @@ std::vector<RigFactory> AllRigs() {
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {
   std::vector<std::string> covered;
   for (const RigFactory& rig : AllRigs()) covered.push_back(rig.name);
-  for (const CameraDriver& driver : CameraDrivers()) {
+  for (const CameraDriverEntry& driver : CameraDrivers()) {
     EXPECT_THAT(covered, testing::Contains(driver.name));
   }
 }
