@@ -1,0 +1,91 @@
+#include "daemon/api/status.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+namespace omnihdr {
+namespace {
+
+using testing::HasSubstr;
+using testing::Not;
+
+StatusReport Busy() {
+  StatusReport s;
+  s.version = "1.2.3";
+  s.uptime_s = 12.5;
+  s.state = {CaptureState::kDegraded, "2 of the last 16 triggers gave no frame"};
+  s.session_directory = "/data/s";
+  s.session_resumed = true;
+  s.camera_ready = true;
+  s.camera_model = "model";
+  s.armed = true;
+  s.trigger_source = "distance";
+  s.triggers = 12;
+  s.positions_triggered = 12;
+  for (int i = 0; i < 10; ++i) s.lines.Add(FrameStatus::kOk);
+  s.lines.Add(FrameStatus::kCameraTimeout);
+  s.lines.Add(FrameStatus::kCameraTimeout);
+  s.views_finished = 8;
+  s.backlog = 2;
+  s.last_view = 9;
+  s.bracket_steps = 3;
+  s.bracket_order = "sawtooth";
+  s.exposure = {ExposureTime::Seconds(0.004), GainDb{}};
+  s.odometer_m = 3.25;
+  return s;
+}
+
+TEST(Status, JsonHoldsTheNumbersAScriptNeeds) {
+  const auto json = StatusToJson(Busy());
+  EXPECT_EQ(json["state"], "degraded");
+  EXPECT_EQ(json["positions_triggered"], 12);
+  EXPECT_EQ(json["frames_recorded"], 10);
+  EXPECT_EQ(json["frames_dropped"], 2);
+  EXPECT_EQ(json["drops"]["camera-timeout"], 2);
+  EXPECT_EQ(json["drops"]["disk-full"], 0);
+  EXPECT_EQ(json["views"]["finished"], 8);
+  EXPECT_EQ(json["views"]["backlog"], 2);
+  EXPECT_EQ(json["session"]["ended"], false);
+  EXPECT_EQ(json["bracket"]["exposure_s"], 0.004);
+  EXPECT_EQ(json["odometer_m"], 3.25);
+}
+
+TEST(Status, WhatIsNotKnownIsNull) {
+  const auto json = StatusToJson(StatusReport{});
+  EXPECT_TRUE(json["odometer_m"].is_null());
+  EXPECT_TRUE(json["bracket"].is_null());
+  EXPECT_TRUE(json["views"]["last"].is_null());
+}
+
+TEST(Status, NamesThatAreNotUtf8DoNotBreakTheAnswer) {
+  StatusReport s = Busy();
+  s.camera_model = "m\xff";
+  EXPECT_NO_THROW(static_cast<void>(StatusToJson(s).dump()));
+}
+
+TEST(Status, MetricsAreInThePrometheusTextFormat) {
+  const std::string text = StatusToMetrics(Busy());
+  EXPECT_THAT(text, HasSubstr("# TYPE omnihdr_frames_total counter\n"));
+  EXPECT_THAT(text, HasSubstr("omnihdr_frames_total{status=\"camera-timeout\"} 2\n"));
+  EXPECT_THAT(text, HasSubstr("omnihdr_state{state=\"degraded\"} 1\n"));
+  EXPECT_THAT(text, HasSubstr("omnihdr_state{state=\"armed\"} 0\n"));
+  EXPECT_THAT(text, HasSubstr("omnihdr_views_backlog 2\n"));
+  EXPECT_EQ(text.back(), '\n');
+}
+
+TEST(Status, PeopleReadReasonsAndLosses) {
+  const std::string text = StatusForPeople(StatusToJson(Busy()));
+  EXPECT_THAT(text, HasSubstr("degraded (2 of the last 16 triggers gave no frame)"));
+  EXPECT_THAT(text, HasSubstr("/data/s (continued)"));
+  EXPECT_THAT(text, HasSubstr("10 recorded, 2 lost (camera-timeout 2)"));
+  EXPECT_THAT(text, HasSubstr("0.004 s, step 1 of 3 (sawtooth)"));
+  EXPECT_THAT(text, Not(HasSubstr("disk-full")));
+}
+
+TEST(Status, TheProgressLineHasTheFourCounts) {
+  EXPECT_EQ(ProgressLine(StatusToJson(Busy())),
+            "degraded  positions 12  frames 10  views 8  backlog 2  lost 2");
+}
+
+}  // namespace
+}  // namespace omnihdr
