@@ -83,3 +83,16 @@ function(omnihdr_test name)
   gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST
     PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT})
 endfunction()
+
+# omnihdr_fuzz(journal_fuzz DEPS core_session): one libFuzzer program from NAME.cc of the calling
+# folder; its seeds are in tests/fuzz/corpus/NAME without the "_fuzz". `fuzz_targets` builds them all.
+function(omnihdr_fuzz name)
+  cmake_parse_arguments(ARG "" "" "DEPS" ${ARGN})
+  add_executable(${name} ${name}.cc)
+  target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS})
+  target_link_options(${name} PRIVATE -fsanitize=fuzzer)
+  if(NOT TARGET fuzz_targets)
+    add_custom_target(fuzz_targets)
+  endif()
+  add_dependencies(fuzz_targets ${name})
+endfunction()

@@ -1,0 +1,35 @@
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <string>
+#include <string_view>
+
+#include "core/session/session_reader.h"
+
+namespace {
+
+std::string Written(const omnihdr::JournalContents& journal) {
+  std::string text;
+  for (const omnihdr::FrameRecord& frame : journal.frames) {
+    text += omnihdr::FormatFrameRecord(frame) + "\n";
+  }
+  return text;
+}
+
+}  // namespace
+
+// Law: whatever is accepted as frames.jsonl is written back as a text that reads the same.
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  using namespace omnihdr;
+  const std::string_view text(reinterpret_cast<const char*>(data), size);
+  const Result<JournalContents> journal = ParseJournal(text, "frames.jsonl");
+  if (!journal) {
+    if (journal.error().message.empty()) std::abort();
+    return 0;
+  }
+  if (journal->complete_bytes > size) std::abort();
+  const std::string written = Written(*journal);
+  const Result<JournalContents> again = ParseJournal(written, "frames.jsonl");
+  if (!again || Written(*again) != written) std::abort();
+  return 0;
+}
