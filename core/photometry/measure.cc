@@ -107,6 +107,7 @@ class PixelMerger {
         const std::uint32_t z = values[shortest_].z[c];
         out[c] = frame.exposure_of_value[c][z] * frame.inverse_seconds;
         if (z > frame.high) flags = static_cast<std::uint8_t>(flags | kSaturatedBit[c]);
+        if (z < frame.low) flags = static_cast<std::uint8_t>(flags | kDarkBit[c]);
         continue;
       }
       // First the total of the light over the total of the time (Hanji et al. 2020), then that signal's
