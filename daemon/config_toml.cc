@@ -59,6 +59,45 @@ std::size_t FindBadUtf8(std::string_view text) {
   return std::string_view::npos;
 }
 
+// Behind the opening quote at `begin`: the offset behind the closing one. A string on one line ends
+// with the line at the latest.
+std::size_t SkipString(std::string_view text, std::size_t begin) {
+  const char quote = text[begin];
+  const std::string three(3, quote);
+  const bool multi_line = text.substr(begin, 3) == three;
+  std::size_t i = begin + (multi_line ? 3 : 1);
+  for (; i < text.size(); ++i) {
+    if (text[i] == '\\' && quote == '"' && i + 1 < text.size() && text[i + 1] != '\n') {
+      ++i;
+    } else if (multi_line && text.substr(i, 3) == three) {
+      // Up to two quotes before the closing three belong to the string.
+      i += 3;
+      for (int k = 0; k < 2 && i < text.size() && text[i] == quote; ++k) ++i;
+      return i;
+    } else if (!multi_line && (text[i] == quote || text[i] == '\n')) {
+      return i + 1;
+    }
+  }
+  return text.size();
+}
+
+// Offset of the first character beyond ASCII outside comments and quotes, where TOML has none; npos
+// when there is none. The library runs into undefined behaviour at some of them (U+020C in a key).
+std::size_t FindStrayCharacter(std::string_view text) {
+  std::size_t i = 0;
+  while (i < text.size()) {
+    if (static_cast<unsigned char>(text[i]) >= 0x80) return i;
+    if (text[i] == '#') {
+      i = std::min(text.find('\n', i), text.size());
+    } else if (text[i] == '"' || text[i] == '\'') {
+      i = SkipString(text, i);
+    } else {
+      ++i;
+    }
+  }
+  return std::string_view::npos;
+}
+
 int LineOf(std::string_view text, std::size_t offset) {
   return 1 + static_cast<int>(std::count(text.begin(),
                                          text.begin() + static_cast<std::ptrdiff_t>(offset), '\n'));
@@ -197,6 +236,11 @@ TomlDocument ParseToml(std::string_view text) {
     return document;
   }
   if (text.starts_with("\xEF\xBB\xBF")) text.remove_prefix(3);
+  if (const std::size_t stray = FindStrayCharacter(text); stray != std::string_view::npos) {
+    document.error_line = LineOf(text, stray);
+    document.error = "a character beyond ASCII, expected only in quotes and comments";
+    return document;
+  }
   // The library looks a few bytes ahead; with line ends behind the text it always finds some.
   const std::string padded = std::string(text) + "\n\n\n\n";
   try {

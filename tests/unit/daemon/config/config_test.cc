@@ -226,6 +226,20 @@ TEST(Config, TextThatIsNotTomlNamesTheLine) {
               HasSubstr("expected at most 1048576"));
 }
 
+TEST(Config, CharactersBeyondAsciiBelongInQuotesAndComments) {
+  EXPECT_EQ(OnlyProblem("# \xC3\xA9\n\xC8\x8C = 1\n"),
+            "dir/test.toml:2: a character beyond ASCII, expected only in quotes and comments");
+  EXPECT_THAT(OnlyProblem("log.level = 'info' \xC3\xA9\n"), HasSubstr("beyond ASCII"));
+  for (const std::string name :
+       {"\"\xC3\xA9\"", "'\xC3\xA9'", "\"\"\"a\n\xC3\xA9\"\"\"\"\"", "'''\xC3\xA9'''",
+        "\"\\\"\xC3\xA9\\\\\" # \xC3\xA9", "'a\\' # \xC3\xA9"}) {
+    const LoadedConfig loaded =
+        ParseConfig("input.mask = " + name + "\nlog.level = 'debug'\n", "x");
+    EXPECT_TRUE(loaded.ok()) << name << (loaded.ok() ? "" : loaded.problems[0].ToString());
+    EXPECT_EQ(loaded.config.log.level, LogLevel::kDebug) << name;
+  }
+}
+
 TEST(Config, ShortMalformedTextsAreErrorsAndNothingWorse) {
   // Every text of up to two bytes, and of three from the characters that mean something in TOML.
   const std::string letters = "[]{}=\"'\\\n\r\t #.,:+-_0eaux\xEF\xBB\xBF\xC3\x80";
