@@ -162,6 +162,7 @@ Status App::ResumeSession() {
                choice_.ended ? "; it has ended" : "");
   if (choice_.ended) {
     phase_ = Phase::kEnded;
+    ended_ = true;
     end_reason_ = "the session has ended";
     finish_views_ = true;
     state_.Update([&](CaptureConditions& c) { c.idle = end_reason_; });
@@ -697,7 +698,8 @@ void App::EndSession(const std::string& reason, bool exit_after) {
 
 void App::OnSessionEnded() {
   if (phase_ == Phase::kStopping) return;
-  const bool news = phase_ != Phase::kEnded;
+  const bool news = !ended_;
+  ended_ = true;
   phase_ = Phase::kEnded;
   if (news) {
     state_.Update([&](CaptureConditions& c) {
@@ -785,7 +787,7 @@ StatusReport App::BuildStatus() const {
   s.armed = armed_;
   s.trigger_source = std::string(parts_.triggers->kind());
   s.triggers_ignored = ignored_triggers_;
-  s.session_ended = phase_ == Phase::kEnded || (phase_ == Phase::kStopping && exit_after_end_);
+  s.session_ended = ended_;
   s.pipeline_enabled = static_cast<bool>(parts_.open_pipeline);
   s.buffers = static_cast<std::uint64_t>(std::max(config_.recorder.queue_frames, 1));
   s.buffers_free = recorder_.free_buffers();

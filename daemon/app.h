@@ -167,6 +167,7 @@ class App final : public ApiBackend {
   // Loop thread.
   Phase phase_ = Phase::kRunning;
   bool exit_after_end_ = false;
+  bool ended_ = false;
   bool armed_ = false;
   bool source_running_ = false;
   int watched_fd_ = -1;
