@@ -7,13 +7,16 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <vector>
+
+#include "core/base/parallel_for.h"
 
 namespace omnihdr {
 namespace {
 
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr int kRadius = 5;
-constexpr int kTaps = 2 * kRadius + 1;
+constexpr std::size_t kTaps = 2 * kRadius + 1;
 
 template <typename Transform>
 double PsnrOf(ImageView<const float> tested, ImageView<const float> truth, double peak,
@@ -42,16 +45,26 @@ double PsnrOf(ImageView<const float> tested, ImageView<const float> truth, doubl
 std::array<double, kTaps> GaussianTaps() {
   std::array<double, kTaps> taps{};
   double sum = 0.0;
-  for (int i = 0; i < kTaps; ++i) {
-    const double d = static_cast<double>(i - kRadius);
-    taps[static_cast<std::size_t>(i)] = std::exp(-d * d / (2.0 * 1.5 * 1.5));
-    sum += taps[static_cast<std::size_t>(i)];
+  for (std::size_t i = 0; i < kTaps; ++i) {
+    const double d = static_cast<double>(i) - kRadius;
+    taps[i] = std::exp(-d * d / (2.0 * 1.5 * 1.5));
+    sum += taps[i];
   }
   for (double& tap : taps) tap /= sum;
   return taps;
 }
 
-int Wrapped(int x, int width) { return ((x % width) + width) % width; }
+// What a window is made of, one plane each: 1 where a pixel cannot be compared, a, b, a², b², ab.
+enum Plane : std::size_t { kInvalid, kA, kB, kAA, kBB, kAB, kPlanes };
+
+// One picture row's planes, each `width` long.
+using PlaneRow = std::array<std::vector<double>, kPlanes>;
+
+PlaneRow EmptyPlanes(int width) {
+  PlaneRow planes;
+  for (std::vector<double>& plane : planes) plane.resize(static_cast<std::size_t>(width));
+  return planes;
+}
 
 }  // namespace
 
@@ -73,58 +86,75 @@ double Ssim(ImageView<const float> tested, ImageView<const float> truth, double 
   const int width = truth.width();
   const int height = truth.height();
   assert(tested.width() == width && tested.height() == height);
-  if (height < kTaps || width < kTaps) return kNaN;
+  if (height < 2 * kRadius + 1 || width < 2 * kRadius + 1) return kNaN;
   const std::array<double, kTaps> taps = GaussianTaps();
-  // The weighted window sums of 1 (invalid pixels), a, b, a², b², ab, rows first: one row of each
-  // of the last 11 picture rows is kept.
-  enum Sum { kInvalid, kA, kB, kAA, kBB, kAB, kSums };
-  Image<double> rows(width, kTaps, kSums);
-  const int first = wraps ? 0 : kRadius;
-  const int last = wraps ? width : width - kRadius;
   const double c1 = (0.01 * peak) * (0.01 * peak);
   const double c2 = (0.03 * peak) * (0.03 * peak);
+
+  // Rows filtered along x, for the whole picture: row y's planes begin at y · kPlanes · width.
+  const auto columns = static_cast<std::size_t>(width);
+  std::vector<double> along_x(columns * static_cast<std::size_t>(height) * kPlanes);
+  ParallelFor(height, 16, [&](int begin, int end) {
+    // With a border of kRadius on both sides: the other edge of a panorama, or invalid.
+    PlaneRow padded = EmptyPlanes(width + 2 * kRadius);
+    for (int y = begin; y < end; ++y) {
+      for (int i = 0; i < width + 2 * kRadius; ++i) {
+        const int x = wraps ? (i - kRadius + width) % width : i - kRadius;
+        const bool inside = x >= 0 && x < width;
+        const double a = inside ? static_cast<double>(tested.at(x, y)) : kNaN;
+        const double b = inside ? static_cast<double>(truth.at(x, y)) : kNaN;
+        const bool usable = inside && area.Has(x, y) && std::isfinite(a) && std::isfinite(b);
+        const auto at = static_cast<std::size_t>(i);
+        padded[kInvalid][at] = usable ? 0.0 : 1.0;
+        padded[kA][at] = usable ? a : 0.0;
+        padded[kB][at] = usable ? b : 0.0;
+        padded[kAA][at] = usable ? a * a : 0.0;
+        padded[kBB][at] = usable ? b * b : 0.0;
+        padded[kAB][at] = usable ? a * b : 0.0;
+      }
+      for (std::size_t plane = 0; plane < kPlanes; ++plane) {
+        double* out = &along_x[(static_cast<std::size_t>(y) * kPlanes + plane) * columns];
+        for (std::size_t k = 0; k < kTaps; ++k) {
+          const double* in = padded[plane].data() + k;
+          for (std::size_t x = 0; x < columns; ++x) out[x] += taps[k] * in[x];
+        }
+      }
+    }
+  });
+
+  // Sums a row, added up in order afterwards: the same result however the rows were shared out.
+  std::vector<double> row_total(static_cast<std::size_t>(height), 0.0);
+  std::vector<double> row_count(static_cast<std::size_t>(height), 0.0);
+  ParallelFor(height - 2 * kRadius, 16, [&](int begin, int end) {
+    PlaneRow sums = EmptyPlanes(width);
+    for (int y = begin + kRadius; y < end + kRadius; ++y) {
+      for (std::size_t plane = 0; plane < kPlanes; ++plane) {
+        std::fill(sums[plane].begin(), sums[plane].end(), 0.0);
+        for (std::size_t k = 0; k < kTaps; ++k) {
+          const std::size_t row = static_cast<std::size_t>(y) - kRadius + k;
+          const double* in = &along_x[(row * kPlanes + plane) * columns];
+          for (std::size_t x = 0; x < columns; ++x) sums[plane][x] += taps[k] * in[x];
+        }
+      }
+      for (std::size_t x = 0; x < columns; ++x) {
+        if (sums[kInvalid][x] > 0.0) continue;
+        const double a = sums[kA][x];
+        const double b = sums[kB][x];
+        const double variance_a = sums[kAA][x] - a * a;
+        const double variance_b = sums[kBB][x] - b * b;
+        const double covariance = sums[kAB][x] - a * b;
+        row_total[static_cast<std::size_t>(y)] +=
+            ((2.0 * a * b + c1) * (2.0 * covariance + c2)) /
+            ((a * a + b * b + c1) * (variance_a + variance_b + c2));
+        row_count[static_cast<std::size_t>(y)] += 1.0;
+      }
+    }
+  });
   double total = 0.0;
   double weights = 0.0;
-  Image<double> products(width, 1, kSums);
   for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      double* out = products.pixel(x, 0);
-      const double a = static_cast<double>(tested.at(x, y));
-      const double b = static_cast<double>(truth.at(x, y));
-      const bool usable = area.Has(x, y) && std::isfinite(a) && std::isfinite(b);
-      out[kInvalid] = usable ? 0.0 : 1.0;
-      out[kA] = usable ? a : 0.0;
-      out[kB] = usable ? b : 0.0;
-      out[kAA] = out[kA] * out[kA];
-      out[kBB] = out[kB] * out[kB];
-      out[kAB] = out[kA] * out[kB];
-    }
-    for (int x = first; x < last; ++x) {
-      double* out = rows.pixel(x, y % kTaps);
-      std::fill_n(out, static_cast<int>(kSums), 0.0);
-      for (int k = -kRadius; k <= kRadius; ++k) {
-        const double tap = taps[static_cast<std::size_t>(k + kRadius)];
-        const double* in = products.pixel(wraps ? Wrapped(x + k, width) : x + k, 0);
-        for (int s = 0; s < kSums; ++s) out[s] += tap * in[s];
-      }
-    }
-    if (y < kTaps - 1) continue;
-    const double weight = area.Weight(y - kRadius);
-    for (int x = first; x < last; ++x) {
-      std::array<double, kSums> sums{};
-      for (int k = 0; k < kTaps; ++k) {
-        const double* in = rows.pixel(x, (y - kTaps + 1 + k) % kTaps);
-        for (std::size_t s = 0; s < kSums; ++s)
-          sums[s] += taps[static_cast<std::size_t>(k)] * in[s];
-      }
-      if (sums[kInvalid] > 0.0) continue;
-      const double variance_a = sums[kAA] - sums[kA] * sums[kA];
-      const double variance_b = sums[kBB] - sums[kB] * sums[kB];
-      const double covariance = sums[kAB] - sums[kA] * sums[kB];
-      total += weight * ((2.0 * sums[kA] * sums[kB] + c1) * (2.0 * covariance + c2)) /
-               ((sums[kA] * sums[kA] + sums[kB] * sums[kB] + c1) * (variance_a + variance_b + c2));
-      weights += weight;
-    }
+    total += area.Weight(y) * row_total[static_cast<std::size_t>(y)];
+    weights += area.Weight(y) * row_count[static_cast<std::size_t>(y)];
   }
   return weights > 0.0 ? total / weights : kNaN;
 }

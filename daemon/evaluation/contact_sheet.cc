@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
@@ -31,7 +32,9 @@ constexpr double kErrorFull = 0.3;  // a factor of two
 struct Row {
   std::string label;
   std::vector<Image<std::uint8_t>> cells;
+  Image<float> disparity;  // what the disparity's cell will show
 };
+constexpr std::size_t kDisparityCell = 2;
 
 cv::Mat Mat(Image<std::uint8_t>& image) {
   return {image.height(), image.width(), CV_8UC(image.channels()), image.data()};
@@ -41,6 +44,19 @@ Image<std::uint8_t> Shrunk(Image<std::uint8_t> picture, int width, int height) {
   Image<std::uint8_t> small(width, height, 3);
   cv::Mat target = Mat(small);
   cv::resize(Mat(picture), target, target.size(), 0.0, 0.0, cv::INTER_AREA);
+  return small;
+}
+
+// Not averaged: between near and far lies nothing. Unknown everywhere for a view without disparity.
+Image<float> SampledDisparity(const Image<float>& disparity, int width, int height) {
+  Image<float> small(width, height, 1, std::numeric_limits<float>::quiet_NaN());
+  if (disparity.empty()) return small;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      small.at(x, y) = disparity.at((2 * x + 1) * disparity.width() / (2 * width),
+                                    (2 * y + 1) * disparity.height() / (2 * height));
+    }
+  }
   return small;
 }
 
@@ -66,7 +82,7 @@ Image<std::uint8_t> FramePicture(const Image<float>& radiance, double exposure_s
 // The disparity below which 98 % of a map lies.
 double Near(const Image<float>& disparity) {
   std::vector<float> known;
-  for (std::size_t i = 0; i < disparity.size(); i += 7) {
+  for (std::size_t i = 0; i < disparity.size(); ++i) {
     if (std::isfinite(disparity.data()[i])) known.push_back(disparity.data()[i]);
   }
   if (known.empty()) return 0.0;
@@ -152,19 +168,13 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
                  LoadFrameMask(options.evaluation.mask, contents.info.camera));
   const std::vector<PositionId> positions = Sampled(complete, options.rows);
 
-  // One colour scale for all rows, so that near is the same colour everywhere.
-  double nearest = 0.0;
-  for (const PositionId position : positions) {
-    OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, position));
-    nearest = std::max(nearest, Near(view.disparity));
-  }
-
   const int width = options.cell_width;
   const int height = width / 2;
   std::vector<std::string> titles = {"input frame", "HDR view, tone-mapped",
                                      "disparity: near warm, far cool"};
   if (reference) titles.emplace_back("error: red too bright, blue too dark (2x)");
   std::vector<Row> rows;
+  double nearest = 0.0;
   for (const PositionId position : positions) {
     OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, position));
     const auto frame = std::find_if(
@@ -185,9 +195,9 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
     row.cells.push_back(
         Shrunk(FramePicture(own, frame->exposure.EffectiveSeconds()), width, height));
     row.cells.push_back(Shrunk(ToneMapReinhard(view.radiance, {}), width, height));
-    row.cells.push_back(view.disparity.empty()
-                            ? Image<std::uint8_t>(width, height, 3)
-                            : Shrunk(DisparityColours(view.disparity, nearest), width, height));
+    row.disparity = SampledDisparity(view.disparity, width, height);
+    nearest = std::max(nearest, Near(row.disparity));
+    row.cells.emplace_back();
     if (reference) {
       OMNIHDR_ASSIGN(const Reference::Picture truth,
                      reference->Render(*frame, Projection::Equirectangular(width, height),
@@ -197,6 +207,9 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
     }
     rows.push_back(std::move(row));
   }
+
+  // One colour scale for all rows, so that near is the same colour everywhere.
+  for (Row& row : rows) row.cells[kDisparityCell] = DisparityColours(row.disparity, nearest);
 
   const int columns = static_cast<int>(titles.size());
   Image<std::uint8_t> sheet(

@@ -1,6 +1,7 @@
 #include "daemon/evaluation/evaluation.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -10,6 +11,7 @@
 #include <utility>
 
 #include "core/base/file.h"
+#include "core/base/parallel_for.h"
 #include "core/photometry/measure.h"
 #include "core/photometry/tonemap.h"
 #include "core/quality/picture_metrics.h"
@@ -201,8 +203,15 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
   score.covered = wanted > 0.0 ? have / wanted : 0.0;
   area.mask = compared.view();
   const Image<float> truth_luminance = LuminanceOf(truth.radiance);
-  score.view = Score(view.radiance, truth.radiance, truth_luminance, area);
-  score.own_frame = Score(own, truth.radiance, truth_luminance, area);
+  const std::array<ImageView<const float>, 2> tested = {view.radiance, own};
+  std::array<RadianceScore, 2> scores;
+  ParallelFor(2, 1, [&](int begin, int end) {
+    for (auto i = static_cast<std::size_t>(begin); i < static_cast<std::size_t>(end); ++i) {
+      scores[i] = Score(tested[i], truth.radiance, truth_luminance, area);
+    }
+  });
+  score.view = scores[0];
+  score.own_frame = scores[1];
 
   if (!truth.disparity.empty() && !view.disparity.empty() && baseline) {
     Image<float> metric(width, height, 1);
@@ -222,6 +231,7 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
   double bad1 = 0.0;
   double relative = 0.0;
   int with_disparity = 0;
+  int with_relative = 0;
   for (const PositionScore& p : positions) {
     if (p.pose) {
       mean.rotation_deg = std::max(mean.rotation_deg.value_or(0.0), p.pose->rotation_deg);
@@ -242,6 +252,9 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
     if (p.disparity && std::isfinite(p.disparity->bad1)) {
       ++with_disparity;
       bad1 += p.disparity->bad1;
+    }
+    if (p.disparity && std::isfinite(p.disparity->median_relative)) {
+      ++with_relative;
       relative += p.disparity->median_relative;
     }
   }
@@ -251,10 +264,8 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
         &mean.own_ssim, &mean.view_psnr_mu, &mean.own_psnr_mu, &mean.covered}) {
     *sum /= mean.positions;
   }
-  if (with_disparity > 0) {
-    mean.disparity_bad1 = bad1 / with_disparity;
-    mean.disparity_relative = relative / with_disparity;
-  }
+  if (with_disparity > 0) mean.disparity_bad1 = bad1 / with_disparity;
+  if (with_relative > 0) mean.disparity_relative = relative / with_relative;
   return mean;
 }
 
