@@ -59,43 +59,73 @@ std::size_t FindBadUtf8(std::string_view text) {
   return std::string_view::npos;
 }
 
-// Behind the opening quote at `begin`: the offset behind the closing one. A string on one line ends
-// with the line at the latest.
-std::size_t SkipString(std::string_view text, std::size_t begin) {
-  const char quote = text[begin];
-  const std::string three(3, quote);
-  const bool multi_line = text.substr(begin, 3) == three;
-  std::size_t i = begin + (multi_line ? 3 : 1);
-  for (; i < text.size(); ++i) {
-    if (text[i] == '\\' && quote == '"' && i + 1 < text.size() && text[i + 1] != '\n') {
-      ++i;
-    } else if (multi_line && text.substr(i, 3) == three) {
-      // Up to two quotes before the closing three belong to the string.
-      i += 3;
-      for (int k = 0; k < 2 && i < text.size() && text[i] == quote; ++k) ++i;
-      return i;
-    } else if (!multi_line && (text[i] == quote || text[i] == '\n')) {
-      return i + 1;
+// The library runs into undefined behaviour at some characters beyond ASCII (U+020C in a key,
+// U+00E9 after a line-ending backslash). It therefore sees ASCII only: such a byte, and "~" itself,
+// becomes
+// "~XX". "~" has no meaning in TOML: inside quotes and comments it is text, elsewhere an error.
+std::string Encode(std::string_view text) {
+  std::string encoded;
+  encoded.reserve(text.size());
+  for (const char c : text) {
+    if (static_cast<unsigned char>(c) >= 0x80 || c == '~') {
+      encoded += fmt::format("~{:02X}", static_cast<unsigned>(static_cast<unsigned char>(c)));
+    } else {
+      encoded += c;
     }
   }
-  return text.size();
+  return encoded;
 }
 
-// Offset of the first character beyond ASCII outside comments and quotes, where TOML has none; npos
-// when there is none. The library runs into undefined behaviour at some of them (U+020C in a key).
-std::size_t FindStrayCharacter(std::string_view text) {
-  std::size_t i = 0;
-  while (i < text.size()) {
-    if (static_cast<unsigned char>(text[i]) >= 0x80) return i;
-    if (text[i] == '#') {
-      i = std::min(text.find('\n', i), text.size());
-    } else if (text[i] == '"' || text[i] == '\'') {
-      i = SkipString(text, i);
+std::string Decode(std::string_view encoded) {
+  const auto digit = [&](std::size_t at) {
+    const char c = at < encoded.size() ? encoded[at] : '?';
+    return c >= '0' && c <= '9' ? c - '0' : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
+  };
+  std::string text;
+  for (std::size_t i = 0; i < encoded.size(); ++i) {
+    if (encoded[i] == '~' && digit(i + 1) >= 0 && digit(i + 2) >= 0) {
+      text += static_cast<char>(digit(i + 1) * 16 + digit(i + 2));
+      i += 2;
     } else {
-      ++i;
+      text += encoded[i];
     }
   }
+  return text;
+}
+
+// Offset of "~" written as an escape, which Decode could not tell from its own; npos when there is
+// none.
+std::size_t FindEscapedTilde(std::string_view text) {
+  for (std::size_t i = text.find('\\'); i != std::string_view::npos; i = text.find('\\', i + 1)) {
+    std::string escape(text.substr(i + 1, 9));
+    std::replace(escape.begin(), escape.end(), 'e', 'E');
+    if (escape.starts_with("u007E") || escape == "U0000007E") return i;
+  }
   return std::string_view::npos;
+}
+
+std::string_view LineAt(std::string_view text, int line) {
+  for (; line > 1 && !text.empty(); --line) {
+    text.remove_prefix(std::min(text.find('\n'), text.size() - 1) + 1);
+  }
+  return text.substr(0, text.find('\n'));
+}
+
+// What the library says of encoded text, in terms of the text itself.
+std::string ErrorText(const toml::parse_error& error, std::string_view encoded) {
+  const std::string_view line = LineAt(encoded, static_cast<int>(error.source().begin.line));
+  const std::size_t column = std::max<std::size_t>(error.source().begin.column, 1);
+  const std::string before = Decode(line.substr(0, std::min(column - 1, line.size())));
+  const std::ptrdiff_t characters = std::count_if(before.begin(), before.end(), [](char c) {
+    return (static_cast<unsigned char>(c) & 0xC0U) != 0x80U;
+  });
+  std::string message = Decode(error.description());
+  const std::string seen = Decode(line.substr(std::min(column - 1, line.size()), 3));
+  if (const std::size_t tilde = message.find("'~'");
+      tilde != std::string::npos && !seen.starts_with('~')) {
+    message.replace(tilde, 3, "a character beyond ASCII");
+  }
+  return fmt::format("column {}: {}", characters + 1, message);
 }
 
 int LineOf(std::string_view text, std::size_t offset) {
@@ -124,7 +154,7 @@ TomlValue Convert(const toml::node& node, int depth) {
     value.real = real->get();
   } else if (const auto* text = node.as_string()) {
     value.type = TomlValue::Type::kString;
-    value.text = text->get();
+    value.text = Decode(text->get());
   } else if (const auto* array = node.as_array(); array != nullptr && depth < kMaxTableDepth) {
     value.type = TomlValue::Type::kArray;
     for (const toml::node& item : *array) value.items.push_back(Convert(item, depth + 1));
@@ -140,7 +170,7 @@ void Flatten(const toml::table& table, const std::string& prefix, int depth,
              std::vector<TomlEntry>& entries) {
   for (const auto& [key, node] : table) {
     TomlEntry entry;
-    entry.key = prefix + KeyPart(key.str());
+    entry.key = prefix + KeyPart(Decode(key.str()));
     entry.line = static_cast<int>(key.source().begin.line);
     const toml::table* child = node.as_table();
     if (child == nullptr) {
@@ -236,20 +266,19 @@ TomlDocument ParseToml(std::string_view text) {
     return document;
   }
   if (text.starts_with("\xEF\xBB\xBF")) text.remove_prefix(3);
-  if (const std::size_t stray = FindStrayCharacter(text); stray != std::string_view::npos) {
-    document.error_line = LineOf(text, stray);
-    document.error = "a character beyond ASCII, expected only in quotes and comments";
+  if (const std::size_t tilde = FindEscapedTilde(text); tilde != std::string_view::npos) {
+    document.error_line = LineOf(text, tilde);
+    document.error = "\"~\" as an escape, expected the character itself";
     return document;
   }
   // The library looks a few bytes ahead; with line ends behind the text it always finds some.
-  const std::string padded = std::string(text) + "\n\n\n\n";
+  const std::string encoded = Encode(text) + "\n\n\n\n";
   try {
-    const toml::table table = toml::parse(std::string_view(padded));
+    const toml::table table = toml::parse(std::string_view(encoded));
     Flatten(table, "", 0, document.entries);
   } catch (const toml::parse_error& error) {
     document.error_line = static_cast<int>(error.source().begin.line);
-    document.error =
-        fmt::format("column {}: {}", error.source().begin.column, std::string(error.description()));
+    document.error = ErrorText(error, encoded);
     document.entries.clear();
   } catch (const std::exception& error) {
     document.error = error.what();

@@ -1,5 +1,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <poll.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <string>
@@ -164,6 +168,55 @@ TEST(SessionWriter, ResumesAfterAJournalCutAtAnyByte) {
                          journal.begin() +
                              static_cast<std::ptrdiff_t>(std::min(length + 1, journal.size())),
                          '\n'));
+  }
+}
+
+TEST(SessionWriter, KilledAtAnyMomentItLeavesAJournalThatResumes) {
+  const test::TemporaryDirectory directory;
+  const fs::path session = directory.path() / "s";
+  { const SessionWriter writer = MustCreate(session); }
+  unsigned random = 20260101;
+  std::size_t checked = 0;
+  for (int round = 0; round < 60; ++round) {
+    int told[2] = {-1, -1};  // the child tells every frame that Append has reported as stored
+    ASSERT_EQ(::pipe(told), 0);
+    const pid_t child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      Result<SessionWriter> writer = SessionWriter::Resume(session);
+      for (unsigned i = 0; writer && i < 100'000; ++i) {
+        const std::uint64_t frame = writer->next_frame();
+        const auto position = static_cast<std::int64_t>(frame);
+        if (!writer->Append(test::SampleRecord(frame, position), Pixels(3000))) break;
+        if (::write(told[1], &frame, sizeof(frame)) != sizeof(frame)) break;
+      }
+      ::_exit(1);  // only when something above failed
+    }
+    ::close(told[1]);
+    pollfd first{told[0], POLLIN, 0};
+    ASSERT_EQ(::poll(&first, 1, 30'000), 1) << "the writer stores nothing";
+    random = random * 1664525U + 1013904223U;
+    ::usleep((random >> 16U) % 3000);
+    ::kill(child, SIGKILL);
+    int status = 0;
+    ASSERT_EQ(::waitpid(child, &status, 0), child);
+    ASSERT_TRUE(WIFSIGNALED(status)) << "the writer failed by itself";
+    std::int64_t last_told = -1;
+    for (std::uint64_t frame = 0; ::read(told[0], &frame, sizeof(frame)) == sizeof(frame);) {
+      last_told = static_cast<std::int64_t>(frame);
+    }
+    ::close(told[0]);
+
+    const Result<SessionContents> read = ReadSession(session);
+    ASSERT_TRUE(read) << read.error().message;
+    EXPECT_THAT(read->journal.rejected, IsEmpty());
+    const std::vector<FrameRecord>& frames = read->journal.frames;
+    EXPECT_GE(static_cast<std::int64_t>(frames.size()) - 1, last_told);
+    EXPECT_GE(last_told, static_cast<std::int64_t>(checked));
+    for (; checked < frames.size(); ++checked) {
+      ASSERT_EQ(Value(frames[checked].frame), checked);
+      ASSERT_EQ(test::Slurp(session / frames[checked].file), Text(Pixels(3000)));
+    }
   }
 }
 

@@ -17,6 +17,7 @@ namespace omnihdr {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 const fs::path kConfigFolder = fs::path(OMNIHDR_SOURCE_DIR) / "config";
@@ -227,17 +228,32 @@ TEST(Config, TextThatIsNotTomlNamesTheLine) {
 }
 
 TEST(Config, CharactersBeyondAsciiBelongInQuotesAndComments) {
-  EXPECT_EQ(OnlyProblem("# \xC3\xA9\n\xC8\x8C = 1\n"),
-            "dir/test.toml:2: a character beyond ASCII, expected only in quotes and comments");
-  EXPECT_THAT(OnlyProblem("log.level = 'info' \xC3\xA9\n"), HasSubstr("beyond ASCII"));
-  for (const std::string name :
-       {"\"\xC3\xA9\"", "'\xC3\xA9'", "\"\"\"a\n\xC3\xA9\"\"\"\"\"", "'''\xC3\xA9'''",
-        "\"\\\"\xC3\xA9\\\\\" # \xC3\xA9", "'a\\' # \xC3\xA9"}) {
+  EXPECT_THAT(OnlyProblem("# \xC3\xA9\n\xC8\x8C = 1\n"),
+              AllOf(HasSubstr("dir/test.toml:2: column 1: "), HasSubstr("beyond ASCII")));
+  EXPECT_THAT(OnlyProblem("log.level = 'info' \xC3\xA9\n"), HasSubstr("test.toml:1: column 20: "));
+  EXPECT_THAT(OnlyProblem("input.mask = '\xC3\xA9\xC3\xA9' x\n"),
+              HasSubstr("test.toml:1: column 19"));
+  EXPECT_THAT(OnlyProblem("~ = 1\n"), AllOf(HasSubstr("column 1: "), HasSubstr("'~'")));
+  struct Case {
+    std::string toml;
+    std::string value;
+  };
+  for (const Case& c :
+       std::vector<Case>{{"\"/\xC3\xA9\"", "/\xC3\xA9"},
+                         {"'/\xC3\xA9~~7E~'", "/\xC3\xA9~~7E~"},
+                         {"\"\"\"/a\\\n\xC3\xA9\"\"\"\"\"", "/a\xC3\xA9\"\""},
+                         {"'''/\xF0\x9F\x98\x80'''", "/\xF0\x9F\x98\x80"},
+                         {"\"/\\\"\xC3\xA9\\\\\\u00e9\" # \xC3\xA9", "/\"\xC3\xA9\\\xC3\xA9"}}) {
     const LoadedConfig loaded =
-        ParseConfig("input.mask = " + name + "\nlog.level = 'debug'\n", "x");
-    EXPECT_TRUE(loaded.ok()) << name << (loaded.ok() ? "" : loaded.problems[0].ToString());
-    EXPECT_EQ(loaded.config.log.level, LogLevel::kDebug) << name;
+        ParseConfig("input.mask = " + c.toml + "\nlog.level = 'debug'\n", "x");
+    EXPECT_TRUE(loaded.ok()) << c.toml << (loaded.ok() ? "" : loaded.problems[0].ToString());
+    EXPECT_EQ(loaded.config.pipeline.options.mask_file, c.value);
+    EXPECT_EQ(loaded.config.log.level, LogLevel::kDebug) << c.toml;
   }
+  EXPECT_THAT(OnlyProblem("\ninput.mask = \"\\u007e41\""),
+              HasSubstr("dir/test.toml:2: \"~\" as an escape, expected the character itself"));
+  EXPECT_THAT(OnlyProblem("\"k\xC3\xA9y\" = 1\n"),
+              HasSubstr(": \"k\xC3\xA9y\": 1, expected a known"));
 }
 
 TEST(Config, ShortMalformedTextsAreErrorsAndNothingWorse) {
