@@ -1,0 +1,451 @@
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+
+#include <cstring>
+#include <fstream>
+#include <random>
+#include <thread>
+
+#include "core/base/file.h"
+#include "core/session/session_reader.h"
+#include "daemon/api/client.h"
+#include "drivers/sim/simulation.h"
+#include "tests/integration/programs.h"
+#include "tests/support/temporary_directory.h"
+
+namespace omnihdr {
+namespace {
+
+namespace fs = std::filesystem;
+using integration::Eventually;
+using integration::FilesBelow;
+using integration::Program;
+using integration::RunOmnihdr;
+using ::testing::HasSubstr;
+
+// Small pictures and a coarse search: the whole chain in a fraction of a second a view.
+constexpr const char* kSmallPipeline = "[stereo]\nwidth = 256\nlabels = 32\n";
+
+class Daemon : public ::testing::Test {
+ protected:
+  fs::path directory() const { return directory_.path(); }
+  fs::path session() const { return directory() / "sessions" / "s"; }
+
+  // A configuration with the simulated camera, software triggers, and `more` behind it.
+  void WriteConfig(const std::string& camera_and_trigger, const std::string& more = "") {
+    std::ofstream(directory() / "c.toml") << fmt::format(
+        "[session]\ndirectory = \"sessions\"\nname = \"s\"\n"
+        "[api]\nsocket = \"api.sock\"\n{}\n{}\n{}\n",
+        camera_and_trigger, kSmallPipeline, more);
+  }
+  static std::string SimCamera(int width = 256) {
+    return fmt::format(
+        "[camera]\ndriver = \"sim\"\n[camera.sim]\nscene = \"tunnel\"\nwidth = {}\n"
+        "[bracket]\nstart_s = 0.004\nstep_stops = 1.6\ncount = 3\n"
+        "[trigger]\nsource = \"software\"\narmed_at_start = true\n",
+        width);
+  }
+  std::string ReplayCamera(const std::string& source) const {
+    return fmt::format(
+        "[camera]\ndriver = \"replay\"\nreconnect_s = 0.2\n[camera.replay]\nsession = \"{}\"\n"
+        "[trigger]\nsource = \"{}\"\narmed_at_start = true\n",
+        (directory() / "source").string(), source);
+  }
+  // A recorded session in directory()/source.
+  void RecordSource(int positions, bool odometer = false) {
+    sim::SimulateOptions options;
+    options.simulation.scene = sim::SceneKind::kTunnel;
+    options.simulation.width = 256;
+    options.bracket.start = ExposureTime::Seconds(0.004);
+    options.bracket.step = Stops{1.6};
+    options.positions = positions;
+    // A trigger by command knows no place: only the replay trigger hands the recorded one on.
+    options.write_odometer = odometer;
+    options.created = "2026-01-01T00:00:00Z";
+    const Status written = sim::WriteSimulatedSession(directory() / "source", options, {});
+    ASSERT_TRUE(written) << written.error().message;
+  }
+  // The views of `omnihdr process` of the source: what every other way must give, byte for byte.
+  std::map<std::string, std::string> ProcessedSource() {
+    const auto [code, output] =
+        RunOmnihdr({"process", (directory() / "source").string(), "--out",
+                    (directory() / "reference").string(), "--config", Config(), "--quiet"},
+                   directory());
+    EXPECT_EQ(code, 0) << output;
+    return FilesBelow(directory() / "reference" / "views");
+  }
+
+  std::string Config() const { return (directory() / "c.toml").string(); }
+  std::unique_ptr<Program> Start(const std::vector<std::string>& more = {},
+                                 const std::vector<std::string>& environment = {}) {
+    std::vector<std::string> arguments = {"--config", Config()};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return std::make_unique<Program>("omnihdrd", arguments, directory() / "log", environment);
+  }
+  ApiClient Client() const { return ApiClient(directory() / "api.sock"); }
+  nlohmann::json StatusNow() const {
+    auto status = Client().Get("/v1/status");
+    return status ? *status : nlohmann::json();
+  }
+  bool StatusHolds(const std::function<bool(const nlohmann::json&)>& holds) const {
+    return Eventually([&] {
+      const nlohmann::json status = StatusNow();
+      return status.is_object() && holds(status);
+    });
+  }
+  bool Armed() const {
+    return StatusHolds([](const auto& s) { return s["state"] == "armed"; });
+  }
+  // Triggers by command until one is accepted; false when none was within the time.
+  bool Trigger() const {
+    return Eventually([&] { return static_cast<bool>(Client().Post("/v1/trigger")); });
+  }
+  std::vector<FrameRecord> Journal() const {
+    auto contents = ReadSession(session());
+    EXPECT_TRUE(contents) << (contents ? "" : contents.error().message);
+    return contents ? contents->journal.frames : std::vector<FrameRecord>{};
+  }
+
+ private:
+  testing::TemporaryDirectory directory_;
+};
+
+TEST_F(Daemon, ABadConfigurationEndsWith78AndNamesTheLine) {
+  WriteConfig(SimCamera(), "[recorder]\nqueue_frames = 0\n");
+  const auto daemon = Start();
+  EXPECT_EQ(daemon->Wait(), 78);
+  EXPECT_THAT(daemon->Log(), HasSubstr("recorder.queue_frames"));
+  EXPECT_FALSE(fs::exists(session()));
+}
+
+TEST_F(Daemon, CheckStartsNothing) {
+  WriteConfig(SimCamera());
+  const auto daemon = Start({"--check"});
+  EXPECT_EQ(daemon->Wait(), 0);
+  EXPECT_FALSE(fs::exists(directory() / "api.sock"));
+}
+
+TEST_F(Daemon, AWrongOptionEndsWith64) { EXPECT_EQ(Start({"--no-such-option"})->Wait(), 64); }
+
+TEST_F(Daemon, EveryTriggerHasItsJournalLine) {
+  WriteConfig(SimCamera(), "[recorder]\nqueue_frames = 2\n");
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  // Far faster than the camera can: some are missed, all are accounted for.
+  std::uint64_t accepted = 0;
+  for (int i = 0; i < 20; ++i) {
+    if (Client().Post("/v1/trigger")) ++accepted;
+  }
+  EXPECT_EQ(accepted, 20U);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["in_flight"] == 0; }));
+  const nlohmann::json status = StatusNow();
+  EXPECT_EQ(status["positions_triggered"], 20);
+  EXPECT_EQ(status["frames_recorded"].get<int>() + status["frames_dropped"].get<int>(), 20);
+  EXPECT_GT(status["frames_dropped"].get<int>(), 0);
+  EXPECT_EQ(status["state"], "degraded");
+
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 20U);
+  for (std::size_t i = 0; i < journal.size(); ++i) {
+    EXPECT_EQ(Value(journal[i].frame), i);
+    EXPECT_EQ(Value(journal[i].position), static_cast<std::int64_t>(i));
+    EXPECT_EQ(journal[i].status == FrameStatus::kOk, journal[i].detail.empty());
+    EXPECT_EQ(journal[i].status == FrameStatus::kOk,
+              fs::exists(session() / fmt::format("raw/{:06}.png", i)));
+    if (journal[i].status == FrameStatus::kOk) {
+      EXPECT_EQ(journal[i].proof, ExposureProof::kEmbedded);
+    }
+  }
+}
+
+TEST_F(Daemon, TriggersAreIgnoredWhileDisarmedAndRefusedByName) {
+  WriteConfig(SimCamera());
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  EXPECT_EQ(Client().Post("/v1/disarm").value()["state"], "idle");
+  const auto refused = Client().Post("/v1/trigger");
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().message, "disarmed: arm first");
+  EXPECT_EQ(Client().Post("/v1/arm").value()["state"], "armed");
+  EXPECT_TRUE(Client().Post("/v1/trigger"));
+}
+
+TEST_F(Daemon, TheCommandLineControlsIt) {
+  WriteConfig(SimCamera());
+  const std::string socket = (directory() / "api.sock").string();
+  EXPECT_EQ(RunOmnihdr({"status", "--socket", socket}, directory()).first, 69);
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  const auto [trigger_code, trigger] = RunOmnihdr({"trigger", "--socket", socket}, directory());
+  EXPECT_EQ(trigger_code, 0);
+  EXPECT_EQ(trigger, "trigger 0: position 0, 0.004 s\n");
+  const auto [status_code, status] = RunOmnihdr({"status", "--socket", socket}, directory());
+  EXPECT_EQ(status_code, 0);
+  EXPECT_THAT(status, HasSubstr("positions   1 triggered by software"));
+  const auto [json_code, json] = RunOmnihdr({"status", "--socket", socket, "--json"}, directory());
+  EXPECT_EQ(json_code, 0);
+  EXPECT_EQ(nlohmann::json::parse(json)["positions_triggered"], 1);
+  EXPECT_EQ(RunOmnihdr({"disarm", "--socket", socket}, directory()).second, "idle\n");
+  EXPECT_EQ(RunOmnihdr({"arm", "--socket", socket}, directory()).second, "armed\n");
+
+  Program watch("omnihdr", {"watch", "--socket", socket, "--json"}, directory() / "events");
+  ASSERT_TRUE(
+      Eventually([&] { return watch.Log().find("\"event\":\"status\"") != std::string::npos; }));
+  EXPECT_EQ(RunOmnihdr({"stop", "--socket", socket, "--timeout", "60"}, directory()).first, 0);
+  EXPECT_EQ(daemon->Wait(), 0);
+  EXPECT_EQ(watch.Wait(), 0);
+  EXPECT_THAT(watch.Log(), HasSubstr("\"what\":\"ended\""));
+  EXPECT_TRUE(fs::exists(session() / "ended.json"));
+  EXPECT_TRUE(fs::exists(session() / "views/000000/view.json"));
+  EXPECT_FALSE(fs::exists(socket));
+  EXPECT_EQ(RunOmnihdr({"no-such-command"}, directory()).first, 64);
+}
+
+TEST_F(Daemon, TheServiceManagerHearsThatItServesAndThatItLives) {
+  WriteConfig(SimCamera());
+  const Fd manager(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::strncpy(address.sun_path, (directory() / "notify").c_str(), sizeof(address.sun_path) - 1);
+  ASSERT_EQ(::bind(manager.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
+  timeval timeout{};
+  timeout.tv_sec = 30;
+  ASSERT_EQ(::setsockopt(manager.get(), SOL_SOCKET, SO_RCVTIMEO, &timeout, sizeof(timeout)), 0);
+  const auto daemon =
+      Start({}, {"NOTIFY_SOCKET=" + (directory() / "notify").string(), "WATCHDOG_USEC=500000"});
+  std::string heard;
+  const auto hear = [&](const std::string& wanted) {
+    char buffer[1024];
+    while (heard.find(wanted) == std::string::npos) {
+      const ssize_t n = ::recv(manager.get(), buffer, sizeof(buffer), 0);
+      if (n <= 0) return false;
+      heard.append(buffer, static_cast<std::size_t>(n)).append("\n");
+    }
+    return true;
+  };
+  ASSERT_TRUE(hear("READY=1")) << heard;
+  // Ready means served: at this moment, not soon.
+  EXPECT_TRUE(Client().Get("/v1/status"));
+  EXPECT_TRUE(hear("WATCHDOG=1")) << heard;
+  EXPECT_TRUE(hear("STATUS=armed")) << heard;
+  daemon->Signal(SIGTERM);
+  EXPECT_TRUE(hear("STOPPING=1")) << heard;
+  EXPECT_EQ(daemon->Wait(), 0);
+}
+
+TEST_F(Daemon, ASecondDaemonIsRefused) {
+  WriteConfig(SimCamera());
+  const auto first = Start();
+  ASSERT_TRUE(Armed());
+  // The same socket, and the same session under another socket.
+  EXPECT_EQ(Start({"--session", "other"})->Wait(), 75);
+  std::ofstream(directory() / "d.toml") << fmt::format(
+      "[session]\ndirectory = \"sessions\"\nname = \"s\"\n"
+      "[api]\nsocket = \"other.sock\"\n{}",
+      SimCamera());
+  Program second("omnihdrd", {"--config", (directory() / "d.toml").string()}, directory() / "log2");
+  EXPECT_EQ(second.Wait(), 75);
+  EXPECT_THAT(second.Log(), HasSubstr("another process is writing this session"));
+  ASSERT_TRUE(Trigger());
+  EXPECT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+}
+
+TEST_F(Daemon, AMissingCameraIsWaitedFor) {
+  RecordSource(3);
+  fs::rename(directory() / "source", directory() / "away");
+  WriteConfig(ReplayCamera("software"));
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["state"] == "waiting-for-camera"; }));
+  EXPECT_THAT(StatusNow()["reason"].get<std::string>(), HasSubstr("source"));
+  const auto refused = Client().Post("/v1/trigger");
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("no session yet"));
+  fs::rename(directory() / "away", directory() / "source");
+  ASSERT_TRUE(Armed());
+  EXPECT_TRUE(Trigger());
+  EXPECT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+}
+
+TEST_F(Daemon, AReplayGivesTheBytesOfTheBatchTool) {
+  RecordSource(5, true);
+  WriteConfig(ReplayCamera("replay"));
+  const auto reference = ProcessedSource();
+  ASSERT_EQ(reference.size(), 5U * 4);
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s.is_object(); }));
+  EXPECT_EQ(RunOmnihdr({"watch", "--socket", (directory() / "api.sock").string(), "--until-done",
+                        "--timeout", "100"},
+                       directory())
+                .first,
+            0);
+  EXPECT_EQ(Journal().size(), 5U);
+  EXPECT_TRUE(FilesBelow(session() / "views") == reference);
+  // The session has ended, the daemon serves on, and takes no more.
+  EXPECT_EQ(StatusNow()["session"]["ended"], true);
+  const auto refused = Client().Post("/v1/arm");
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().message, "the session has ended");
+  daemon->Signal(SIGTERM);
+  EXPECT_EQ(daemon->Wait(), 0);
+
+  // And stays ended after a restart.
+  const auto again = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["views"]["finished"] == 5; }));
+  EXPECT_EQ(StatusNow()["session"]["ended"], true);
+  EXPECT_FALSE(Client().Post("/v1/arm"));
+}
+
+TEST_F(Daemon, ACleanStopLeavesTheSessionOpenAndTheNextStartGoesOn) {
+  RecordSource(6);
+  WriteConfig(ReplayCamera("software"));
+  const auto reference = ProcessedSource();
+  {
+    const auto daemon = Start();
+    ASSERT_TRUE(Armed());
+    for (int i = 0; i < 4; ++i) {
+      ASSERT_TRUE(Trigger());
+      ASSERT_TRUE(StatusHolds([i](const auto& s) { return s["frames_recorded"] == i + 1; }));
+    }
+    daemon->Signal(SIGTERM);
+    EXPECT_EQ(daemon->Wait(), 0);
+    EXPECT_EQ(Journal().size(), 4U);
+    // Views 2 and 3 wait for neighbours that will still come.
+    EXPECT_FALSE(fs::exists(session() / "views/000002"));
+    EXPECT_FALSE(fs::exists(session() / "ended.json"));
+  }
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  EXPECT_EQ(StatusNow()["session"]["resumed"], true);
+  EXPECT_EQ(StatusNow()["frames_recorded"], 4);
+  for (int i = 4; i < 6; ++i) {
+    EXPECT_EQ(StatusNow()["bracket"]["step"], i % 3);
+    ASSERT_TRUE(Trigger());
+    ASSERT_TRUE(StatusHolds([i](const auto& s) { return s["frames_recorded"] == i + 1; }));
+  }
+  ASSERT_TRUE(Client().Post("/v1/stop"));
+  EXPECT_EQ(daemon->Wait(), 0);
+  EXPECT_TRUE(FilesBelow(session() / "views") == reference);
+}
+
+TEST_F(Daemon, KilledAtAnyMomentItEndsWithTheSameBytes) {
+  RecordSource(7, true);
+  WriteConfig(ReplayCamera("replay"));
+  const auto reference = ProcessedSource();
+  ASSERT_EQ(reference.size(), 7U * 4);
+  std::mt19937 random(20260101);
+  std::uniform_int_distribution<int> moment_ms(60, 900);
+  for (int kill = 0; kill < 5; ++kill) {
+    const auto daemon = Start();
+    std::this_thread::sleep_for(std::chrono::milliseconds(moment_ms(random)));
+    daemon->Signal(SIGKILL);
+    daemon->Wait();
+    // Whatever is there is whole: every line's pixels, every visible view.
+    if (fs::exists(session() / "session.json")) {
+      for (const FrameRecord& record : Journal()) {
+        EXPECT_TRUE(record.file.empty() || fs::exists(session() / record.file)) << record.file;
+      }
+    }
+    for (const auto& [name, bytes] : FilesBelow(session() / "views")) {
+      if (name[0] == '.') continue;  // what an interrupted writer left; removed by the next start
+      ASSERT_TRUE(reference.contains(name)) << name;
+      EXPECT_TRUE(reference.at(name) == bytes) << name;
+    }
+  }
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["session"]["ended"] == true; }));
+  EXPECT_EQ(Journal().size(), 7U);
+  EXPECT_TRUE(FilesBelow(session() / "views") == reference);
+}
+
+TEST_F(Daemon, WhenViewsCannotBeWrittenItSaysSoAndCapturesOn) {
+  RecordSource(6);
+  WriteConfig(ReplayCamera("software"));
+  const auto reference = ProcessedSource();
+  std::uint64_t largest_frame = 0;
+  for (const auto& [name, bytes] : FilesBelow(directory() / "source" / "raw")) {
+    largest_frame = std::max<std::uint64_t>(largest_frame, bytes.size());
+  }
+  const std::uint64_t limit = largest_frame + 16384;
+  ASSERT_GT(reference.at("000001/disparity.exr").size(), limit);
+
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  daemon->LimitFileSize(limit);
+  for (int i = 0; i < 5; ++i) {
+    ASSERT_TRUE(Trigger());
+    ASSERT_TRUE(StatusHolds([i](const auto& s) { return s["frames_recorded"] == i + 1; }));
+  }
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["state"] == "degraded"; }));
+  EXPECT_THAT(StatusNow()["views"]["error"].get<std::string>(), HasSubstr("File too large"));
+  EXPECT_EQ(StatusNow()["views"]["finished"], 0);
+  EXPECT_TRUE(FilesBelow(session() / "views").empty());
+  ASSERT_TRUE(Trigger());
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 6; }));
+
+  daemon->LimitFileSize(0);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["views"]["finished"] == 4; }));
+  EXPECT_EQ(StatusNow()["state"], "armed");
+  ASSERT_TRUE(Client().Post("/v1/stop"));
+  EXPECT_EQ(daemon->Wait(), 0);
+  EXPECT_TRUE(FilesBelow(session() / "views") == reference);
+}
+
+TEST_F(Daemon, WhenFramesCannotBeStoredTheirLinesSaySoAndItRecovers) {
+  RecordSource(4);
+  WriteConfig(ReplayCamera("software"));
+  const auto daemon = Start();
+  ASSERT_TRUE(Armed());
+  ASSERT_TRUE(Trigger());
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  daemon->LimitFileSize(8192);
+  ASSERT_TRUE(Trigger());
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["drops"]["disk-full"] == 1; }));
+  EXPECT_EQ(StatusNow()["state"], "storage-full");
+  daemon->LimitFileSize(0);
+  ASSERT_TRUE(Trigger());
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 2; }));
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["state"] != "storage-full"; }));
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 3U);
+  EXPECT_EQ(journal[1].status, FrameStatus::kDiskFull);
+  EXPECT_TRUE(journal[1].file.empty());
+  EXPECT_THAT(journal[1].detail, HasSubstr("File too large"));
+}
+
+TEST_F(Daemon, ASessionOfAnotherCameraIsNotContinued) {
+  RecordSource(3);
+  WriteConfig(ReplayCamera("software"));
+  {
+    const auto daemon = Start();
+    ASSERT_TRUE(Armed());
+    ASSERT_TRUE(Client().Post("/v1/stop", {{"leave_open", true}}));
+    EXPECT_EQ(daemon->Wait(), 0);
+  }
+  WriteConfig(SimCamera(320));
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["state"] == "fault"; }));
+  EXPECT_THAT(StatusNow()["reason"].get<std::string>(),
+              HasSubstr("the session has frames of 256x128"));
+}
+
+TEST_F(Daemon, AnExistingSessionIsRefusedWhenSoConfigured) {
+  WriteConfig(SimCamera());
+  {
+    const auto daemon = Start();
+    ASSERT_TRUE(Armed());
+    daemon->Signal(SIGINT);
+    EXPECT_EQ(daemon->Wait(), 0);
+  }
+  std::ofstream(directory() / "c.toml") << fmt::format(
+      "[session]\ndirectory = \"sessions\"\nname = \"s\"\non_existing = \"refuse\"\n"
+      "[api]\nsocket = \"api.sock\"\n{}",
+      SimCamera());
+  EXPECT_EQ(Start()->Wait(), 73);
+}
+
+}  // namespace
+}  // namespace omnihdr
