@@ -69,6 +69,19 @@ Image<float> ShrunkRadiance(const Image<float>& radiance, int width, int height)
   return small;
 }
 
+// Marks as unknown what the position's own frame did not see: the mask, the camera's edge.
+void LeaveOutUnseen(const Image<float>& own, Image<float>& truth) {
+  for (int y = 0; y < truth.height(); ++y) {
+    for (int x = 0; x < truth.width(); ++x) {
+      const float seen = own.at((2 * x + 1) * own.width() / (2 * truth.width()),
+                                (2 * y + 1) * own.height() / (2 * truth.height()));
+      if (std::isnan(seen)) {
+        std::fill_n(truth.pixel(x, y), 3, std::numeric_limits<float>::quiet_NaN());
+      }
+    }
+  }
+}
+
 // The input frame as its sensor saw it: linear values, shown with the sRGB curve.
 Image<std::uint8_t> FramePicture(const Image<float>& radiance, double exposure_s) {
   Image<std::uint8_t> picture(radiance.width(), radiance.height(), 3);
@@ -199,9 +212,10 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
     nearest = std::max(nearest, Near(row.disparity));
     row.cells.emplace_back();
     if (reference) {
-      OMNIHDR_ASSIGN(const Reference::Picture truth,
+      OMNIHDR_ASSIGN(Reference::Picture truth,
                      reference->Render(*frame, Projection::Equirectangular(width, height),
                                        view.record.orientation));
+      LeaveOutUnseen(own, truth.radiance);
       row.cells.push_back(
           ErrorColours(ShrunkRadiance(view.radiance, width, height), truth.radiance, kErrorFull));
     }

@@ -183,7 +183,7 @@ std::string FormatScoreTable(const SessionScore& score) {
     }
     out += line + "\n";
   }
-  if (score.mean) out += "(mean of poses: the largest)\n";
+  if (score.mean && score.mean->rotation_deg) out += "(of the poses not the mean: the largest)\n";
   for (const PositionScore& p : score.positions) {
     for (const std::string& warning : p.warnings) {
       out += fmt::format("position {}: {}\n", Value(p.position), warning);
