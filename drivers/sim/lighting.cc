@@ -16,6 +16,7 @@ constexpr int kSunSamples = 3;
 constexpr int kLightSamples = 2;
 constexpr int kPortalSamples = 4;
 constexpr int kGatherRays = 32;
+constexpr float kLeast = 0.02F;    // irradiance in the darkest corner: nothing is truly black
 constexpr float kFaintest = 4.0F;  // irradiance of a lamp below which it is left out
 constexpr int kMaxSide = 288;      // texels along one face
 
@@ -290,7 +291,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
     const float later = primitives[i].indoor ? 1.5F : 1.1F;
     const std::size_t end = i + 1 < primitives.size() ? grids_[first_grid_[i + 1]].offset : total;
     for (std::size_t at = grids_[first_grid_[i]].offset; at < end; ++at) {
-      irradiance_[at] = direct[at] + indirect[at] * later;
+      irradiance_[at] = direct[at] + indirect[at] * later + Vec3{kLeast, kLeast, kLeast};
     }
   }
 }

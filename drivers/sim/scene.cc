@@ -77,6 +77,18 @@ class Builder {
                              {0, length * 0.5F, 0},
                              {0, 0, -1}});
   }
+  // A glowing ball that lights all round.
+  void Globe(Vec3 centre, float radius, Vec3 radiance, int body) {
+    Ball(centre, radius, body).emission = radiance;
+    // Shadow rays end below it, or they would all meet the ball itself.
+    const float half = radius * 0.886F;  // a square of the disc's area
+    scene_.lights.push_back({centre - Vec3{0, 0, radius + 0.02F},
+                             radiance,
+                             {half, 0, 0},
+                             {0, half, 0},
+                             {0, 0, -1},
+                             true});
+  }
   void Tree(float x, float y, float height, float crown, int bark, int leaves, int more_leaves,
             int blobs) {
     Pole(x, y, 0.0F, 0.035F * height + 0.05F, height * 0.72F, bark);
@@ -265,7 +277,7 @@ Vec3 Sky::Radiance(Vec3 d, bool with_disc) const {
   radiance = Lerp(radiance, cloud * silver, 0.85F * density);
   const float angle = std::acos(std::clamp(towards_sun, -1.0F, 1.0F));
   const float wide = 0.006F * std::exp(-angle / 0.35F);
-  const float close = 1.0F / (1.0F + 900.0F * angle * angle);
+  const float close = 1.0F / (1.0F + 350.0F * angle * angle);
   radiance += glow * (wide + close * close);
   if (with_disc && angle < disc_radius) {
     radiance += sun_irradiance * (1.0F / (kPi * disc_radius * disc_radius));
@@ -308,6 +320,7 @@ Scene BuildHall(std::uint64_t seed) {
   const int curtain = b.Mat(Pattern::kStripes, {0.5F, 0.13F, 0.1F}, {0.3F, 0.06F, 0.05F}, 0.14F);
   const int soot =
       b.Mat(Pattern::kBrick, {0.007F, 0.0065F, 0.006F}, {0.005F, 0.005F, 0.005F}, 0.24F);
+  const int lacquer = b.Mat(Pattern::kPlain, {0.003F, 0.003F, 0.0035F});
   const int stone = b.Mat(Pattern::kConcrete, {0.48F, 0.45F, 0.4F}, {0.3F, 0.3F, 0.3F}, 0.6F);
   const int metal = b.Mat(Pattern::kPlaster, {0.22F, 0.22F, 0.23F});
   const int white = b.Mat(Pattern::kPlaster, {0.72F, 0.71F, 0.68F});
@@ -318,7 +331,7 @@ Scene BuildHall(std::uint64_t seed) {
   const int house_wall = b.Mat(Pattern::kBrick, {0.4F, 0.22F, 0.16F}, {0.5F, 0.48F, 0.45F}, 0.3F);
   const int house_pale = b.Mat(Pattern::kPlaster, {0.62F, 0.57F, 0.46F});
   const int roof = b.Mat(Pattern::kRoof, {0.34F, 0.12F, 0.07F}, {0.12F, 0.06F, 0.05F}, 0.35F);
-  const int glass = b.Mat(Pattern::kPlain, {0.04F, 0.05F, 0.06F});
+  const int glass = b.Mat(Pattern::kPlain, {0.005F, 0.006F, 0.007F});
   const int frame = b.Mat(Pattern::kPlaster, {0.7F, 0.7F, 0.66F});
   b.Ground(-0.3F, 60.0F, 60.0F, outdoor.grass, 0.6F);
   for (int i = 0; i < 5; ++i) {
@@ -421,12 +434,12 @@ Scene BuildHall(std::uint64_t seed) {
       b.Standing(x, y, lz - 0.25F, {0.6F, 0.6F, 0.25F}, stone);
     }
   }
-  for (int i = 0; i < 3; ++i) {
-    for (const float y : {-2.6F, 0.0F}) {
-      const float x = -5.0F + 5.0F * static_cast<float>(i) + b.random.Range(-0.2F, 0.2F);
-      const Vec3 warm{36000, 29000, 19000};
-      b.Pole(x, y, 3.22F, 0.012F, lz - 3.22F, metal);
-      b.CeilingLamp({x, y, 3.15F}, 0.28F, 0.28F, warm * b.random.Range(0.7F, 1.2F), metal);
+  for (int i = 0; i < 4; ++i) {
+    for (const float y : {-2.7F, 0.4F}) {
+      const float x = -6.3F + 4.2F * static_cast<float>(i) + b.random.Range(-0.2F, 0.2F);
+      const Vec3 warm = Vec3{15000, 12000, 7800} * b.random.Range(0.7F, 1.2F);
+      b.Pole(x, y, 3.3F, 0.015F, lz - 3.3F, metal);
+      b.Globe({x, y, 3.15F}, 0.19F, warm, white);
     }
   }
   // Furniture. Along the -Y wall.
@@ -486,6 +499,13 @@ Scene BuildHall(std::uint64_t seed) {
       }
     }
   };
+  // A black grand piano and a black cabinet.
+  b.Standing(-5.0F, 0.1F, 0.62F, {1.5F, 1.4F, 0.36F}, lacquer, 0.3F);
+  b.Standing(-5.0F, 0.95F, 0.0F, {0.9F, 0.35F, 0.48F}, lacquer, 0.3F);
+  for (const Vec3 leg : {Vec3{-5.4F, -0.4F, 0}, Vec3{-4.6F, -0.3F, 0}, Vec3{-5.0F, 0.55F, 0}}) {
+    b.Pole(leg.x, leg.y, 0.0F, 0.06F, 0.62F, lacquer);
+  }
+  b.Standing(4.3F, -0.1F, 0.0F, {0.5F, 1.2F, 1.0F}, lacquer, -0.2F);
   table(b.random.Range(-0.3F, 0.3F), 0.0F, 2.2F, 0.9F, 0.75F, b.random.Range(-0.1F, 0.1F));
   sofa_at(-2.6F, 0.1F, -kPi / 2 + b.random.Range(-0.2F, 0.2F));
   sofa_at(2.8F, -0.1F, kPi / 2 + b.random.Range(-0.2F, 0.2F));
@@ -540,7 +560,7 @@ Scene BuildYard(std::uint64_t seed) {
   const int plaster = b.Mat(Pattern::kPlaster, {0.52F, 0.50F, 0.47F});
   const int roof = b.Mat(Pattern::kRoof, {0.33F, 0.12F, 0.07F}, {0.1F, 0.05F, 0.04F}, 0.33F);
   const int slate = b.Mat(Pattern::kRoof, {0.15F, 0.16F, 0.18F}, {0.05F, 0.05F, 0.06F}, 0.28F);
-  const int glass = b.Mat(Pattern::kPlain, {0.035F, 0.045F, 0.055F});
+  const int glass = b.Mat(Pattern::kPlain, {0.004F, 0.005F, 0.006F});
   const int frame = b.Mat(Pattern::kPlaster, {0.7F, 0.7F, 0.67F});
   const int planks = b.Mat(Pattern::kPlanks, {0.25F, 0.17F, 0.1F}, {0.06F, 0.04F, 0.03F}, 0.14F);
   const int gravel =
@@ -734,11 +754,9 @@ Scene BuildTunnel(std::uint64_t seed) {
       b.Add(Shape::kBox, {x + 2.0F, side * (half_width - 0.01F), 1.05F}, {0.4F, 0.06F, 0.8F},
             black);
     }
-    if (i % 2 == 1) {
-      const Vec3 sodium{19000, 13500, 6400};
-      b.CeilingLamp({x, 0.0F, spring + half_width - 0.35F}, 0.5F, 0.12F,
-                    sodium * b.random.Range(0.6F, 1.3F), black);
-    }
+    const Vec3 sodium{19000, 13500, 6400};
+    b.CeilingLamp({x, 0.0F, spring + half_width - 0.35F}, 0.5F, 0.12F,
+                  sodium * b.random.Range(0.6F, 1.3F), black);
   }
   for (const float z : {2.15F, 2.4F}) {
     Primitive& tube =
@@ -775,7 +793,7 @@ Scene BuildTunnel(std::uint64_t seed) {
   }
   const int wall = b.Mat(Pattern::kPlaster, {0.6F, 0.55F, 0.45F});
   const int roof = b.Mat(Pattern::kRoof, {0.33F, 0.12F, 0.07F}, {0.1F, 0.05F, 0.04F}, 0.33F);
-  const int glass = b.Mat(Pattern::kPlain, {0.04F, 0.05F, 0.06F});
+  const int glass = b.Mat(Pattern::kPlain, {0.005F, 0.006F, 0.007F});
   House(b, 34.0F, 14.0F, {10.0F, 8.0F, 5.4F}, 0.3F, wall, roof, glass, paint);
   House(b, 66.0F, -3.0F, {12.0F, 9.0F, 5.4F}, 1.4F, lining, roof, glass, paint);
   for (int i = 0; i < 14; ++i) {
@@ -897,14 +915,8 @@ Scene BuildStreet(std::uint64_t seed) {
     b.Pole(x, y, 0.0F, 0.07F, 4.9F, iron);
     b.Standing(x, y - side * 0.6F, 4.85F, {0.08F, 1.3F, 0.08F}, iron);
     b.Standing(x, y - side * 1.15F, 4.78F, {0.62F, 0.40F, 0.1F}, iron);
-    Primitive& bulb = b.Ball({x, y - side * 1.15F, 4.55F}, 0.32F, paint);
-    bulb.emission = Vec3{24000, 16500, 7800} * b.random.Range(0.8F, 1.2F);
-    scene.lights.push_back({{x, y - side * 1.15F, 4.20F},
-                            bulb.emission * 0.8F,
-                            {0.18F, 0, 0},
-                            {0, 0.18F, 0},
-                            {0, 0, -1},
-                            true});
+    b.Globe({x, y - side * 1.15F, 4.55F}, 0.32F,
+            Vec3{24000, 16500, 7800} * b.random.Range(0.8F, 1.2F), paint);
   }
   // Parked cars, trees, bins, bollards.
   for (int i = 0; i < 12; ++i) {

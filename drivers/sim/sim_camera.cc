@@ -73,6 +73,7 @@ Result<CameraInfo> SimCamera::Open() {
   if (left_running) Stop();  // the device went while running
   const Simulation& simulation = options_.simulation;
   if (!world_) world_ = World::Create(simulation.scene, simulation.seed);
+  world_->PrepareLight();
   if (render_time_ == Nanoseconds(0)) {
     const HostTime before = clock_.Now();
     const double first = std::max(0.0, last_odometer_m_ + options_.interval_m);

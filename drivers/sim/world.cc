@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <mutex>
 #include <numbers>
 #include <utility>
 #include <vector>
@@ -116,7 +117,8 @@ Status MotionOptions::Validate() const {
 struct World::Impl {
   Scene scene;
   Geometry geometry;
-  BakedLight light;
+  mutable std::once_flag light_once;
+  mutable BakedLight light;  // valid after light_once
   std::array<double, 8> sway_phase{};
 
   // Radiance along a ray; `pixel` is the angle between neighbouring samples, radians.
@@ -142,12 +144,16 @@ World::World(SceneKind scene, std::uint64_t seed)
     : scene_(scene), seed_(seed), impl_(std::make_unique<Impl>()) {
   impl_->scene = Build(scene, seed);
   impl_->geometry = Geometry(std::move(impl_->scene.primitives));
-  impl_->light = BakedLight(impl_->scene, impl_->geometry);
   Random random(seed * 131 + 17);
   for (double& phase : impl_->sway_phase) phase = 2 * std::numbers::pi * random.Unit();
 }
 
 World::~World() = default;
+
+void World::PrepareLight() const {
+  std::call_once(impl_->light_once,
+                 [this] { impl_->light = BakedLight(impl_->scene, impl_->geometry); });
+}
 
 std::shared_ptr<const World> World::Create(SceneKind scene, std::uint64_t seed) {
   return std::shared_ptr<const World>(new World(scene, seed));
@@ -155,6 +161,7 @@ std::shared_ptr<const World> World::Create(SceneKind scene, std::uint64_t seed) 
 
 RenderedView World::Render(const Pose& world_from_camera, const Projection& projection,
                            int samples) const {
+  PrepareLight();
   const int width = projection.width();
   const int height = projection.height();
   const int side = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(samples))), 1, 8);

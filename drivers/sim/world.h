@@ -41,7 +41,7 @@ struct MotionOptions {
 // own; equal arguments give equal bytes, on any number of threads. Immutable; any thread.
 class World {
  public:
-  // Takes about a second: light is computed once for the whole scene.
+  // Quick: the light, a second or two of work for the whole scene, is computed by the first Render.
   static std::shared_ptr<const World> Create(SceneKind scene, std::uint64_t seed);
   ~World();
   World(const World&) = delete;
@@ -50,6 +50,8 @@ class World {
   SceneKind scene() const { return scene_; }
   std::uint64_t seed() const { return seed_; }
 
+  // Computes the light now, so that no Render has to wait for it.
+  void PrepareLight() const;
   // `samples` rays a pixel for the radiance (1 … 64, rounded down to a square number); the distance
   // is that of the centre ray. Uses the worker pool.
   RenderedView Render(const Pose& world_from_camera, const Projection& projection,

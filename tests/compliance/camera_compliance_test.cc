@@ -204,9 +204,9 @@ TEST_P(CameraCompliance, EveryStepOfTheExposureLadderComesWithItsProof) {
       ASSERT_EQ(frame->status, FrameStatus::kOk) << frame->detail;
       EXPECT_NE(frame->proof, ExposureProof::kNone);
       ASSERT_TRUE(frame->measured_exposure);
-      const Exposure expected =
-          rig_.fixed_exposure ? rig_.fixed_exposure(Value(request.trigger)).value()
-                              : request.exposure;
+      const Exposure expected = rig_.fixed_exposure
+                                    ? rig_.fixed_exposure(Value(request.trigger)).value()
+                                    : request.exposure;
       EXPECT_NEAR(frame->measured_exposure->time.seconds() / expected.time.seconds(), 1.0, 0.02);
     }
   }
@@ -343,9 +343,7 @@ TEST_P(CameraCompliance, AnUnpluggedCameraSaysSoAndWorksAgainAfterReopening) {
 
 }  // namespace
 
-std::vector<RigFactory> AllRigs() {
-  return {{"sim", MakeSimRig}, {"replay", MakeReplayRig}};
-}
+std::vector<RigFactory> AllRigs() { return {{"sim", MakeSimRig}, {"replay", MakeReplayRig}}; }
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {
   std::vector<std::string> covered;
