@@ -263,6 +263,10 @@ void Tracker::Place(TrackedPosition* tracked, const Evidence& evidence,
     chain.unit_to = e.position;
     const auto& before = state_.window[*IndexOf(best->link->from)].odometer_m;
     chain.metric = before && tracked->odometer_m && *tracked->odometer_m > *before;
+    // Those placed before the first baseline was known are in the same unit.
+    for (TrackedPosition& placed : state_.window) {
+      if (placed.estimate.chain == chain_id) placed.estimate.metric = chain.metric;
+    }
   }
   e.metric = chain.metric;
 }
