@@ -4,7 +4,7 @@ top="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
 cd "$top"
 
 # How many compilers at once: one a core, and no more than the free memory holds (1.2 GB each).
-jobs() {
+job_count() {
   local cores free_kb by_memory
   cores="$(nproc)"
   free_kb="$(awk '/^MemAvailable:/ { print $2 }' /proc/meminfo)"
@@ -23,7 +23,7 @@ build() {
   }
   local targets=()
   (($# == 0)) || targets=(--target "$@")
-  cmake --build --preset "$preset" --parallel "$(jobs)" "${targets[@]}"
+  cmake --build --preset "$preset" --parallel "$(job_count)" "${targets[@]}"
 }
 
 mkdir -p build
