@@ -145,6 +145,14 @@ class Loader {
     } else if (bracket.exposures_s.empty()) {
       Problem(line_of("bracket.exposures_s"), "bracket.exposures_s",
               "[], expected at least one exposure, or bracket.start_s");
+    } else if (bracket.order != BracketOrder::kList) {
+      std::vector<double> sorted = bracket.exposures_s;
+      std::sort(sorted.begin(), sorted.end());
+      if (std::adjacent_find(sorted.begin(), sorted.end()) != sorted.end()) {
+        Problem(line_of("bracket.exposures_s"), "bracket.exposures_s",
+                fmt::format("{}, expected no exposure twice unless bracket.order = \"list\"",
+                            FindConfigKey("bracket.exposures_s")->show(config)));
+      }
     }
   }
 

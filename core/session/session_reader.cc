@@ -332,8 +332,8 @@ Result<SessionContents> ReadSession(const std::filesystem::path& directory) {
   return contents;
 }
 
-JournalFollower::JournalFollower(std::filesystem::path session_directory)
-    : path_(std::move(session_directory) / "frames.jsonl"),
+JournalFollower::JournalFollower(const std::filesystem::path& session_directory)
+    : path_(session_directory / "frames.jsonl"),
       parser_(std::make_unique<JournalParser>(path_.string())) {}
 JournalFollower::JournalFollower(JournalFollower&&) noexcept = default;
 JournalFollower& JournalFollower::operator=(JournalFollower&&) noexcept = default;

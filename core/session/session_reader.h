@@ -49,7 +49,7 @@ class JournalParser;
 // Follows a journal that another thread or process is appending to. Not thread-safe.
 class JournalFollower {
  public:
-  explicit JournalFollower(std::filesystem::path session_directory);
+  explicit JournalFollower(const std::filesystem::path& session_directory);
   JournalFollower(JournalFollower&&) noexcept;
   JournalFollower& operator=(JournalFollower&&) noexcept;
   ~JournalFollower();

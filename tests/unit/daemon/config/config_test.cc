@@ -7,6 +7,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <regex>
 #include <set>
 #include <string>
 #include <vector>
@@ -275,11 +276,40 @@ TEST(Config, ShortMalformedTextsAreErrorsAndNothingWorse) {
   }
 }
 
+TEST(Config, WhatItAcceptsThePipelineAccepts) {
+  const std::regex range(R"(in \[([-+.e0-9]+), ([-+.e0-9]+)\])");
+  int checked = 0;
+  for (const std::string& key : ConfigKeyNames()) {
+    const std::string section = key.substr(0, key.find('.'));
+    if (!std::set<std::string>{"output", "photometry", "stereo", "pose", "merge"}.contains(
+            section)) {
+      continue;
+    }
+    const std::string problem = OnlyProblem(key + " = 1979-05-27\n");
+    std::smatch match;
+    if (!std::regex_search(problem, match, range)) continue;
+    for (const std::string& bound : {match[1].str(), match[2].str()}) {
+      const LoadedConfig loaded = ParseConfig(fmt::format("{} = {}\n", key, bound), "x");
+      EXPECT_TRUE(loaded.ok()) << key << " = " << bound;
+      const Status valid = loaded.config.pipeline.options.Validate();
+      EXPECT_TRUE(valid) << key << " = " << bound << ": " << valid.error().message;
+      ++checked;
+    }
+  }
+  EXPECT_GE(checked, 20);
+}
+
 TEST(Config, ABracketGivenBothWaysInOneFileIsAnError) {
   EXPECT_THAT(OnlyProblem("[bracket]\nexposures_s = [0.1]\nstart_s = 0.001\n"),
               HasSubstr("dir/test.toml:3: bracket.start_s: 0.001, expected either "
                         "bracket.exposures_s or bracket.start_s, not both"));
   EXPECT_THAT(OnlyProblem("[bracket]\nexposures_s = []\n"), HasSubstr("expected at least one"));
+  EXPECT_THAT(
+      OnlyProblem("[bracket]\norder = 'triangle'\nexposures_s = [0.1, 0.2, 0.1]\n"),
+      HasSubstr("dir/test.toml:3: bracket.exposures_s: [0.1, 0.2, 0.1], expected no exposure "
+                "twice unless bracket.order = \"list\""));
+  EXPECT_TRUE(
+      ParseConfig("[bracket]\norder = 'list'\nexposures_s = [0.1, 0.2, 0.1, 0.3]\n", "x").ok());
 }
 
 TEST(Config, TheBracketInStepsIsAGeometricSeries) {
