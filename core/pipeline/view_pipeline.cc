@@ -144,6 +144,11 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
 
   const Stopwatch stereo_time;
   slot.raw = MatchSlot(index);
+  if (slot.raw != nullptr) {
+    // Stereo views are made when first needed, with the pose of that moment: needed must not depend on
+    // whether this view is wanted, or a resumed run would differ.
+    for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) StereoViewOf(n);
+  }
   Image<std::uint8_t> brightness;
   if (slot.raw != nullptr && view.made) {
     std::vector<NeighbourMap> maps;
