@@ -42,6 +42,12 @@ PreparedFrame Prepare(const ExposedFrame& frame, const Response& response, int b
           response.ExposureFromValue(c, static_cast<double>(z) * p.value_scale));
     }
   }
+  // A value of 0 stands for light between nothing and half a step above: a quarter, never "none".
+  for (std::size_t c = 0; c < 3; ++c) {
+    std::vector<float>& table = p.exposure_of_value[c];
+    const auto first = std::find_if(table.begin(), table.end(), [](float e) { return e > 0.0F; });
+    if (first != table.end()) std::fill(table.begin(), first, 0.25F * *first);
+  }
   p.low = static_cast<std::uint32_t>(std::ceil(options.value_low / p.value_scale));
   p.high = static_cast<std::uint32_t>(std::floor(options.value_high / p.value_scale));
   return p;

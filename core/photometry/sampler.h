@@ -51,6 +51,7 @@ class PanoramaSampler {
     return SampleAt(x, y);
   }
 
+  // Bilinear; the nearest pixel alone where some of the four are clipped or masked and others not.
   // Columns wrap round; on a cylinder, outside [0, height] is masked; a lat-long's poles are clamped.
   RadianceSample SampleAt(float x, float y) const {
     RadianceSample out;
@@ -67,6 +68,19 @@ class PanoramaSampler {
     const int y_floor = static_cast<int>(floor_y);
     const int y0 = y_floor < 0 ? 0 : (y_floor >= height_ ? height_ - 1 : y_floor);
     const int y1 = y_floor + 1 >= height_ ? height_ - 1 : (y_floor + 1 < 0 ? 0 : y_floor + 1);
+    const std::uint8_t* f0 = m_->flags.row(y0);
+    const std::uint8_t* f1 = m_->flags.row(y1);
+    const auto any = static_cast<std::uint8_t>(f0[x0] | f0[x1] | f1[x0] | f1[x1]);
+    const auto all = static_cast<std::uint8_t>(f0[x0] & f0[x1] & f1[x0] & f1[x1]);
+    if (((any ^ all) & (kSaturatedAny | kMasked)) != 0) {
+      // The rim of a clipped or masked area: a blend would be neither measured nor a bound.
+      const int xn = ax < 0.5F ? x0 : x1;
+      const int yn = ay < 0.5F ? y0 : y1;
+      const float* nearest = m_->radiance.pixel(xn, yn);
+      for (std::size_t c = 0; c < 3; ++c) out.rgb[c] = nearest[c];
+      out.flags = m_->flags.at(xn, yn);
+      return out;
+    }
     const float* p00 = m_->radiance.pixel(x0, y0);
     const float* p10 = m_->radiance.pixel(x1, y0);
     const float* p01 = m_->radiance.pixel(x0, y1);
@@ -78,9 +92,7 @@ class PanoramaSampler {
     for (std::size_t c = 0; c < 3; ++c) {
       out.rgb[c] = w00 * p00[c] + w10 * p10[c] + w01 * p01[c] + w11 * p11[c];
     }
-    const std::uint8_t* f0 = m_->flags.row(y0);
-    const std::uint8_t* f1 = m_->flags.row(y1);
-    out.flags = static_cast<std::uint8_t>(f0[x0] | f0[x1] | f1[x0] | f1[x1]);
+    out.flags = any;
     return out;
   }
 

@@ -18,6 +18,8 @@ namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kMaxSources = 8;
+constexpr float kTrustedConfidence = 0.4F;
+constexpr float kLeastTrust = 0.2F;
 constexpr float kHalfTrustSigmas = 3.0F;  // disagreement in standard deviations that halves the trust
 constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
 
@@ -89,6 +91,103 @@ class DisparityLookup {
   LatLongGrid grid_;
 };
 
+// How one source's radiance compares with the reference's where both measured the same surface: a smooth
+// field of ln(source / reference) over the sphere (light that changed, wrong exposure labels, vignetting,
+// a tone curve that is not quite undone) and how much they still differ beyond what noise explains. Fields
+// of two consistent views are zero.
+class AgreementField {
+ public:
+  static constexpr int kWidth = 32;
+  static constexpr int kHeight = 16;
+
+  // Residuals by cell; `noise` is the variance noise and misregistration explain.
+  struct Residual {
+    int cell = 0;
+    float ln_ratio = 0.0F;
+    float noise = 0.0F;
+  };
+
+  void Fit(std::vector<Residual> residuals) {
+    field_.fill(0.0F);
+    excess_ = kUnknownExcess;
+    if (residuals.size() < kLeastResiduals) return;
+    std::vector<float> values(residuals.size());
+    const auto median_of = [&values] {
+      const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+      std::nth_element(values.begin(), middle, values.end());
+      return *middle;
+    };
+    std::transform(residuals.begin(), residuals.end(), values.begin(),
+                   [](const Residual& r) { return r.ln_ratio; });
+    const float global = std::clamp(median_of(), -kLargestOffset, kLargestOffset);
+    // Robust cell means around the global offset: each residual counts less the farther it lies.
+    std::array<double, kWidth * kHeight> sum{};
+    std::array<double, kWidth * kHeight> weight{};
+    for (const Residual& r : residuals) {
+      const double gap = r.ln_ratio - global;
+      const double variance = r.noise + kCellSpread * kCellSpread;
+      const double w = 1.0 / (variance * (1.0 + gap * gap / (4.0 * variance)));
+      sum[static_cast<std::size_t>(r.cell)] += w * gap;
+      weight[static_cast<std::size_t>(r.cell)] += w;
+    }
+    for (int y = 0; y < kHeight; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        double s = 0.0;
+        double w = kPriorWeight;
+        for (int dy = -2; dy <= 2; ++dy) {
+          const int cy = y + dy;
+          if (cy < 0 || cy >= kHeight) continue;
+          for (int dx = -2; dx <= 2; ++dx) {
+            const auto k = static_cast<std::size_t>(cy * kWidth + (x + dx + kWidth) % kWidth);
+            const double falloff = std::exp(-0.5 * (dx * dx + dy * dy));
+            s += falloff * sum[k];
+            w += falloff * weight[k];
+          }
+        }
+        field_[static_cast<std::size_t>(y * kWidth + x)] = std::clamp(
+            global + static_cast<float>(s / w), -kLargestOffset, kLargestOffset);
+      }
+    }
+    // What is left over, robustly, less what noise explains.
+    std::transform(residuals.begin(), residuals.end(), values.begin(), [this](const Residual& r) {
+      const float gap = r.ln_ratio - field_[static_cast<std::size_t>(r.cell)];
+      return std::abs(gap);
+    });
+    const float deviation = 1.4826F * median_of();
+    std::transform(residuals.begin(), residuals.end(), values.begin(),
+                   [](const Residual& r) { return r.noise; });
+    excess_ = std::clamp(deviation * deviation - median_of(), 0.0F, kUnknownExcess);
+  }
+
+  // Factor that brings the source's radiance to the reference's.
+  float Factor(float x, float y) const {  // in cells
+    const float fx = x - 0.5F;
+    const float fy = std::clamp(y - 0.5F, 0.0F, static_cast<float>(kHeight - 1));
+    const int x0 = static_cast<int>(std::floor(fx));
+    const int y0 = static_cast<int>(fy);
+    const int y1 = std::min(y0 + 1, kHeight - 1);
+    const float ax = fx - static_cast<float>(x0);
+    const float ay = fy - static_cast<float>(y0);
+    const auto at = [this](int cx, int cy) {
+      return field_[static_cast<std::size_t>(cy * kWidth + (cx + kWidth) % kWidth)];
+    };
+    const float above = (1.0F - ax) * at(x0, y0) + ax * at(x0 + 1, y0);
+    const float below = (1.0F - ax) * at(x0, y1) + ax * at(x0 + 1, y1);
+    return std::exp(-((1.0F - ay) * above + ay * below));
+  }
+  // Relative variance of the source's radiance beyond noise and misregistration.
+  float excess() const { return excess_; }
+
+ private:
+  static constexpr std::size_t kLeastResiduals = 200;
+  static constexpr float kLargestOffset = 0.7F;   // beyond a stop it is not drift but a mistake
+  static constexpr double kCellSpread = 0.05;
+  static constexpr double kPriorWeight = 4000.0;  // of the global offset, in units of residuals' weights
+  static constexpr float kUnknownExcess = 0.04F;
+  std::array<float, kWidth * kHeight> field_{};
+  float excess_ = kUnknownExcess;
+};
+
 // Everything needed to look a surface point up in one other view.
 struct SourceLookup {
   const Measurement* measurement = nullptr;
@@ -96,7 +195,30 @@ struct SourceLookup {
   Eigen::Matrix3f camera_from_world = Eigen::Matrix3f::Identity();
   Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
   Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
+  AgreementField agreement;
 };
+
+// Where a source sees the surface point at disparity `d` along the world ray: its image point. False when
+// the point is hidden there.
+bool Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen::Vector3f& ray,
+            float d, float occlusion_tolerance, float* x, float* y) {
+  Eigen::Vector3f v = ray;
+  if (!source.nearest.empty()) {
+    if (!(d >= 0.0F)) return false;
+    v -= d * source.offset;
+    const float length = v.norm();
+    if (length < 1e-4F) return false;
+    const float expected = d / length;
+    int nx = 0;
+    int ny = 0;
+    map_grid.Pixel(v, &nx, &ny);
+    const float nearest = source.nearest.at(nx, ny);
+    if (nearest > expected * (1.0F + occlusion_tolerance) + 0.003F) return false;
+  }
+  const Eigen::Vector3f ray_there = source.camera_from_world * v;
+  source.sampler->PixelFromRay(ray_there.x(), ray_there.y(), ray_there.z(), x, y);
+  return true;
+}
 
 // The nearest surface seen from a source in each direction: the reference's map warped there, and the
 // source's own map where it has one.
@@ -195,6 +317,51 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     return s;
   };
 
+  const float cells_per_pixel_x = static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
+  const float cells_per_pixel_y = static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
+  ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
+    constexpr int kStep = 4;  // pixels looked at, in each direction: a 16th of them is plenty
+    for (int n = begin; n < end; ++n) {
+      SourceLookup& source = sources[static_cast<std::size_t>(n)];
+      std::vector<AgreementField::Residual> residuals;
+      for (int y = kStep / 2; y < height; y += kStep) {
+        for (int x = kStep / 2; x < width; x += kStep) {
+          const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
+          const RadianceSample mine = own_sampler.Sample(own_from_world * ray);
+          if (mine.flags != 0) continue;
+          DisparityLookup::Value d;
+          if (disparity != nullptr) {
+            d = disparity->At(ray, -1.0F);
+            if (d.confidence < kTrustedConfidence) continue;
+          }
+          float px = 0.0F;
+          float py = 0.0F;
+          if (!Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py)) {
+            continue;
+          }
+          const RadianceSample theirs = source.sampler->SampleAt(px, py);
+          if (theirs.flags != 0) continue;
+          const float mine_y = Luminance(mine.rgb.data());
+          const float theirs_y = Luminance(theirs.rgb.data());
+          if (!(mine_y > 0.0F) || !(theirs_y > 0.0F)) continue;
+          const float contrast =
+              LocalContrast(*source.measurement, px, py) * options.misalignment_px / theirs_y;
+          const auto relative_noise = [](const Measurement& m, float e) {
+            return (m.variance_floor[1] + m.variance_per_radiance[1] * e) / (e * e);
+          };
+          const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
+                               AgreementField::kWidth +
+                           static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
+          residuals.push_back({cell, std::log(theirs_y / mine_y),
+                               relative_noise(own, mine_y) +
+                                   relative_noise(*source.measurement, theirs_y) +
+                                   contrast * contrast});
+        }
+      }
+      source.agreement.Fit(std::move(residuals));
+    }
+  });
+
   ParallelFor(height, 4, [&](int begin, int end) {
     std::array<Sample, kMaxSources> samples;
     for (int y = begin; y < end; ++y) {
@@ -207,9 +374,6 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
 
         DisparityLookup::Value d;
         if (disparity != nullptr) {
-          int mx = 0;
-          int my = 0;
-          map_grid.Pixel(ray, &mx, &my);
           d = disparity->At(ray, -1.0F);
           view.disparity.at(x, y) = d.disparity;
           view.confidence.at(x, y) = d.confidence;
@@ -219,32 +383,29 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             options.misalignment_px +
             (1.0F - (by_rotation ? 0.5F : d.confidence)) * options.distrusted_px;
 
+        const float cell_x = (static_cast<float>(x) + 0.5F) * cells_per_pixel_x;
+        const float cell_y = (static_cast<float>(y) + 0.5F) * cells_per_pixel_y;
         for (const SourceLookup& source : sources) {
-          Eigen::Vector3f v = ray;
-          if (!by_rotation) {
-            if (!(d.disparity >= 0.0F)) continue;
-            v -= d.disparity * source.offset;
-            const float length = v.norm();
-            if (length < 1e-4F) continue;
-            const float expected = d.disparity / length;
-            int nx = 0;
-            int ny = 0;
-            map_grid.Pixel(v, &nx, &ny);
-            const float nearest = source.nearest.at(nx, ny);
-            if (nearest > expected * (1.0F + options.occlusion_tolerance) + 0.003F) continue;
-          }
-          const Eigen::Vector3f ray_there = source.camera_from_world * v;
           float px = 0.0F;
           float py = 0.0F;
-          source.sampler->PixelFromRay(ray_there.x(), ray_there.y(), ray_there.z(), &px, &py);
+          if (!Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py)) {
+            continue;
+          }
           const RadianceSample raw = source.sampler->SampleAt(px, py);
           if ((raw.flags & kMasked) != 0) continue;
           Sample s = make_sample(*source.measurement, raw);
+          const float factor = source.agreement.Factor(cell_x, cell_y);
+          for (std::size_t c = 0; c < 3; ++c) {
+            s.radiance[c] *= factor;
+            s.variance[c] *= factor * factor;
+          }
           if (s.usable) {
-            const float contrast = LocalContrast(*source.measurement, px, py) * misregistration;
+            const float contrast =
+                factor * LocalContrast(*source.measurement, px, py) * misregistration;
+            const float relative =
+                options.model_error * options.model_error + source.agreement.excess();
             for (std::size_t c = 0; c < 3; ++c) {
-              const float model = options.model_error * s.radiance[c];
-              s.variance[c] += contrast * contrast + model * model;
+              s.variance[c] += contrast * contrast + relative * s.radiance[c] * s.radiance[c];
             }
           }
           samples[count++] = s;
@@ -271,12 +432,13 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         }
 
         float* out = view.radiance.pixel(x, y);
-        bool measured = false;
         bool dark = true;
+        float most_trusted = 0.0F;
         for (std::size_t k = 0; k < count; ++k) {
-          measured = measured || samples[k].usable;
+          if (samples[k].usable) most_trusted = std::max(most_trusted, samples[k].trust);
         }
-        if (measured) {
+        // Where this view is saturated and all that others offer contradicts that, they see something else.
+        if (most_trusted > kLeastTrust) {
           // A common estimate of the signal first, so that noise does not bias the weights.
           std::array<float, 3> signal{};
           std::array<float, 3> signal_weight{};
@@ -290,14 +452,18 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             }
             dark = dark && (s.flags & kDarkAny) == kDarkAny;
           }
-          for (std::size_t c = 0; c < 3; ++c) out[c] = signal[c] / signal_weight[c];
+          for (std::size_t c = 0; c < 3; ++c) {
+            out[c] = signal[c] / signal_weight[c];
+            if ((mine.flags & kSaturatedBit[c]) != 0) out[c] = std::max(out[c], mine.radiance[c]);
+          }
           view.origin.at(x, y) =
               static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
         } else {
           // Saturated wherever it was seen: each says "at least"; the largest bound says most.
           bool seen = false;
           for (std::size_t k = 0; k < count; ++k) {
-            if ((samples[k].flags & kMasked) != 0) continue;
+            if ((samples[k].flags & kMasked) != 0 || (samples[k].usable && k > 0)) continue;
+            if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
             seen = true;
             for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
           }
