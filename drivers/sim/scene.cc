@@ -192,6 +192,19 @@ void House(Builder& b, float x, float y, Vec3 size, float yaw, int wall, int roo
   }
 }
 
+// A garage open towards +Y, black inside: the dark corner of a bright scene.
+void Garage(Builder& b, float gx, float gy, int black, int planks) {
+  b.Block({gx - 2.4F, gy - 5.4F, 0}, {gx + 2.4F, gy - 5.2F, 2.7F}, black);
+  b.Block({gx - 2.4F, gy - 5.4F, 0}, {gx - 2.2F, gy, 2.7F}, black);
+  b.Block({gx + 2.2F, gy - 5.4F, 0}, {gx + 2.4F, gy, 2.7F}, black);
+  b.Block({gx - 2.8F, gy - 5.8F, 2.6F}, {gx + 2.8F, gy + 0.5F, 2.8F}, black);
+  b.Block({gx - 2.2F, gy - 5.2F, -0.1F}, {gx + 2.2F, gy, 0.015F}, black);
+  b.Block({gx - 2.65F, gy - 5.6F, 0}, {gx - 2.4F, gy + 0.1F, 2.7F}, planks);
+  b.Block({gx + 2.4F, gy - 5.6F, 0}, {gx + 2.65F, gy + 0.1F, 2.7F}, planks);
+  b.Block({gx - 2.4F, gy - 0.15F, 2.2F}, {gx + 2.4F, gy + 0.05F, 2.6F}, planks);
+  b.Standing(gx - 1.2F, gy - 4.4F, 0.0F, {1.2F, 0.7F, 1.1F}, black);
+}
+
 // Multiplies every source of light: puts a scene's tones where exposures of 1 to 16 ms see them.
 void ScaleLight(Scene& scene, float factor) {
   Sky& sky = scene.sky;
@@ -586,18 +599,9 @@ Scene BuildYard(std::uint64_t seed) {
         glass, frame);
   House(b, 27.0F, 12.0F, {9.0F, 8.0F, 5.6F}, 0.9F, brick, slate, glass, frame);
   House(b, 24.0F, -22.0F, {9.0F, 8.0F, 5.6F}, 2.4F, pale, roof, glass, frame);
-  // A garage with an open door: the dark corner of the scene.
   const float gx = -9.0F;
   const float gy = -12.0F;
-  b.Block({gx - 2.4F, gy - 5.4F, 0}, {gx + 2.4F, gy - 5.2F, 2.7F}, black);
-  b.Block({gx - 2.4F, gy - 5.4F, 0}, {gx - 2.2F, gy, 2.7F}, black);
-  b.Block({gx + 2.2F, gy - 5.4F, 0}, {gx + 2.4F, gy, 2.7F}, black);
-  b.Block({gx - 2.8F, gy - 5.8F, 2.6F}, {gx + 2.8F, gy + 0.5F, 2.8F}, black);
-  b.Block({gx - 2.2F, gy - 5.2F, -0.1F}, {gx + 2.2F, gy, 0.015F}, black);
-  b.Block({gx - 2.65F, gy - 5.6F, 0}, {gx - 2.4F, gy + 0.1F, 2.7F}, planks);
-  b.Block({gx + 2.4F, gy - 5.6F, 0}, {gx + 2.65F, gy + 0.1F, 2.7F}, planks);
-  b.Block({gx - 2.4F, gy - 0.15F, 2.2F}, {gx + 2.4F, gy + 0.05F, 2.6F}, planks);
-  b.Standing(gx - 1.2F, gy - 4.4F, 0.0F, {1.2F, 0.7F, 1.1F}, black);
+  Garage(b, gx, gy, black, planks);
   // A wooden fence round the garden.
   for (int i = 0; i < 26; ++i) {
     const float x = -24.0F + 2.0F * static_cast<float>(i);
@@ -754,7 +758,7 @@ Scene BuildTunnel(std::uint64_t seed) {
       b.Add(Shape::kBox, {x + 2.0F, side * (half_width - 0.01F), 1.05F}, {0.4F, 0.06F, 0.8F},
             black);
     }
-    const Vec3 sodium{19000, 13500, 6400};
+    const Vec3 sodium{60000, 43000, 21000};
     b.CeilingLamp({x, 0.0F, spring + half_width - 0.35F}, 0.5F, 0.12F,
                   sodium * b.random.Range(0.6F, 1.3F), black);
   }
@@ -789,12 +793,16 @@ Scene BuildTunnel(std::uint64_t seed) {
     const float x = b.random.Range(6.0F, 60.0F);
     const float y = (i % 2 == 0 ? 1.0F : -1.0F) * b.random.Range(7.5F, 26.0F);
     const float height = b.random.Range(4.5F, 9.0F);
+    if (y < 0.0F && y > -13.0F) continue;  // the garages stand there
     b.Tree(x, y, height, height * 0.28F, outdoor.bark, outdoor.leaves, outdoor.dark_leaves, 12);
   }
   const int wall = b.Mat(Pattern::kPlaster, {0.6F, 0.55F, 0.45F});
   const int roof = b.Mat(Pattern::kRoof, {0.33F, 0.12F, 0.07F}, {0.1F, 0.05F, 0.04F}, 0.33F);
   const int glass = b.Mat(Pattern::kPlain, {0.005F, 0.006F, 0.007F});
   House(b, 34.0F, 14.0F, {10.0F, 8.0F, 5.4F}, 0.3F, wall, roof, glass, paint);
+  const int pitch =
+      b.Mat(Pattern::kPlanks, {0.007F, 0.007F, 0.007F}, {0.004F, 0.004F, 0.004F}, 0.2F);
+  for (const float x : {17.0F, 31.0F, 46.0F}) Garage(b, x, -6.6F, pitch, wood);
   House(b, 66.0F, -3.0F, {12.0F, 9.0F, 5.4F}, 1.4F, lining, roof, glass, paint);
   for (int i = 0; i < 14; ++i) {
     for (const float side : {-1.0F, 1.0F}) {
