@@ -160,24 +160,40 @@ class SessionProcessorImpl final : public SessionProcessor {
     for (; warnings_told_ < warnings.size(); ++warnings_told_) Warn(warnings[warnings_told_]);
     for (FrameRecord& record : records) {
       const std::int64_t position = Value(record.position);
-      if (last_taken_ && position <= *last_taken_) {
-        Warn(fmt::format("frame {}: position {} came after position {} was processed: not used",
-                         Value(record.frame), position, *last_taken_));
+      // By the order of lines alone, so that it does not matter when they are read.
+      if (position < newest_ || (last_taken_ && position <= *last_taken_)) {
+        Warn(fmt::format("frame {}: position {} came after position {}: not used",
+                         Value(record.frame), position, newest_));
         continue;
       }
+      if (position > newest_) {
+        newest_ = position;
+        frames_at_newest_ = 0;
+      }
+      if (IsFull(frames_at_newest_)) {
+        Warn(fmt::format("frame {}: position {} has its {} frame(s) already, as session.json's "
+                         "bracket.frames_per_position says: not used",
+                         Value(record.frame), position, frames_at_newest_));
+        continue;
+      }
+      ++frames_at_newest_;
       pending_[position].push_back(std::move(record));
     }
     return {};
+  }
+
+  // Whether a position with so many frames has all it will get. In temporal mode a position has more than
+  // one frame by nature: it is closed by the next position unless their number is given.
+  bool IsFull(std::size_t frames) const {
+    const int expected = info_.bracket ? info_.bracket->frames_per_position : 1;
+    return static_cast<int>(frames) >= expected && (!is_temporal_ || expected > 1);
   }
 
   // The lowest position of which nothing more is to come.
   std::optional<std::int64_t> NextReady() const {
     if (pending_.empty()) return std::nullopt;
     const auto& [position, frames] = *pending_.begin();
-    const int expected = info_.bracket ? info_.bracket->frames_per_position : 1;
-    if (at_end_ || pending_.size() > 1 || static_cast<int>(frames.size()) >= expected) {
-      return position;
-    }
+    if (at_end_ || pending_.size() > 1 || IsFull(frames.size())) return position;
     return std::nullopt;
   }
 
@@ -251,10 +267,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       const auto after_it = std::find(positions.begin(), positions.end(), after);
       if (after_it == positions.end() || after_it - positions.begin() > latest) continue;
       if (!RestoreAt(record->resume_json)) break;  // state of another version: from the beginning
-      for (auto it = positions.begin(); it <= after_it; ++it) {
-        pending_.erase(*it);
-        last_taken_ = *it;
-      }
+      pending_.erase(pending_.begin(), pending_.upper_bound(after));
+      last_taken_ = after;
       return {};
     }
     return {};
@@ -474,6 +488,8 @@ class SessionProcessorImpl final : public SessionProcessor {
   std::unique_ptr<ViewPipeline> pipeline_;
   FramesByPosition pending_;
   std::optional<std::int64_t> last_taken_;
+  std::int64_t newest_ = -1;  // the highest position in the journal so far
+  std::size_t frames_at_newest_ = 0;
   std::map<std::int64_t, ViewContext> references_;  // of positions inside the pipeline
   std::set<std::int64_t> complete_;
   std::set<std::int64_t> told_;

@@ -31,6 +31,10 @@ struct ProcessorCallbacks {
 // it. The daemon steps it while capturing; `omnihdr process` steps it to the end: the same object, so
 // the same bytes. State that matters is on disk: a processor opened on a half-processed session goes on
 // where the views end and gives the bytes an uninterrupted run would have given.
+// What is used follows from the order of the journal's lines alone, never from when they are read: a line
+// whose position lies before the newest one's, and one beyond the session's frames_per_position (1 unless
+// session.json says otherwise), are told of and not used. In temporal mode, unless that number is given, a
+// position is open until the next one begins.
 // View i is complete when position i+2 has been pushed, or at Finish. Not thread-safe; uses the worker
 // pool inside.
 class SessionProcessor {
