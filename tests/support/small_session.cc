@@ -58,8 +58,9 @@ SessionInfo InfoOf(const SessionPlan& plan) {
   info.camera.projection = plan.projection.kind();
   info.camera.z_min = plan.projection.z_min();
   info.camera.z_max = plan.projection.z_max();
-  if (plan.with_bracket) {
+  if (plan.frames_per_position > 0) {
     BracketDescription& bracket = info.bracket.emplace();
+    bracket.frames_per_position = plan.frames_per_position;
     for (const double t : plan.exposures_s) bracket.exposures.push_back(ExposureTime::Seconds(t));
   }
   return info;
