@@ -1,22 +1,29 @@
 #include "core/pose/bundle_adjustment.h"
 
-#include <ceres/ceres.h>
-
 #include <Eigen/Dense>
+#include <algorithm>
 #include <array>
 #include <cmath>
-#include <memory>
+#include <numeric>
 
 namespace omnihdr {
 namespace {
 
 using Eigen::Matrix3d;
+using Eigen::Vector2d;
 using Eigen::Vector3d;
-using Matrix23 = Eigen::Matrix<double, 2, 3, Eigen::RowMajor>;
-using Matrix26 = Eigen::Matrix<double, 2, 6, Eigen::RowMajor>;
+using Matrix23 = Eigen::Matrix<double, 2, 3>;
+using Matrix26 = Eigen::Matrix<double, 2, 6>;
+using Matrix66 = Eigen::Matrix<double, 6, 6>;
+using Matrix63 = Eigen::Matrix<double, 6, 3>;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
 
 // Residuals are in units of this angle, so that those of distances (in sigmas) weigh in fairly.
 constexpr double kUnitAngle = 1.0e-3;
+// A step that lowers the cost by less than this share of it is the last.
+constexpr double kSmallGain = 1.0e-6;
+constexpr double kFirstDamping = 1.0e-4;
+constexpr double kMostDamping = 1.0e8;
 
 Matrix3d Skew(const Vector3d& v) {
   Matrix3d m;
@@ -24,101 +31,257 @@ Matrix3d Skew(const Vector3d& v) {
   return m;
 }
 
-Matrix3d RotationFromVector(const Vector3d& turn) {
-  const double angle = turn.norm();
-  if (angle < 1e-12) return Matrix3d::Identity() + Skew(turn);
-  return Eigen::AngleAxisd(angle, turn / angle).toRotationMatrix();
-}
-
-// Right Jacobian of the rotation group: exp(turn + δ) = exp(turn)·exp(J·δ).
-Matrix3d RightJacobian(const Vector3d& turn) {
-  const double angle = turn.norm();
-  const Matrix3d k = Skew(turn);
-  if (angle < 1e-6) return Matrix3d::Identity() - 0.5 * k;
-  const double square = angle * angle;
-  return Matrix3d::Identity() - (1.0 - std::cos(angle)) / square * k +
-         (angle - std::sin(angle)) / (square * angle) * k * k;
-}
-
-// Parameters: camera (turn from the start rotation, translation), point (two tangential steps from
-// the start direction, inverse distance).
-class AngleCost final : public ceres::SizedCostFunction<2, 6, 3> {
- public:
-  AngleCost(const Matrix3d& start_rotation, const BundlePoint& point, const Vector3d& tangent1,
-            const Vector3d& tangent2, const BundleObservation& observation)
-      : start_rotation_(start_rotation),
-        point_(point),
-        tangent1_(tangent1),
-        tangent2_(tangent2),
-        weight_(observation.weight / kUnitAngle) {
-    const Vector3d e1 = observation.ray.unitOrthogonal();
-    across_.row(0) = e1;
-    across_.row(1) = observation.ray.cross(e1);
-  }
-
-  bool Evaluate(const double* const* parameters, double* residuals,
-                double** jacobians) const override {
-    const Eigen::Map<const Vector3d> turn(parameters[0]);
-    const Eigen::Map<const Vector3d> translation(parameters[0] + 3);
-    const double* p = parameters[1];
-    const Matrix3d camera_from_world = (start_rotation_ * RotationFromVector(turn)).transpose();
-    const Vector3d offset = point_.reference - translation;
-    const Vector3d direction =
-        point_.direction + p[0] * tangent1_ + p[1] * tangent2_ + p[2] * offset;
-    const Vector3d seen = camera_from_world * direction;
-    const double length = seen.norm();
-    if (!(length > 1e-9)) return false;
-    const Eigen::Vector2d projected = across_ * seen / length;
-    Eigen::Map<Eigen::Vector2d>(residuals, 2) = weight_ * projected;
-    if (jacobians == nullptr) return true;
-    const Matrix23 by_seen = weight_ / length * (across_ - projected * (seen / length).transpose());
-    if (jacobians[0] != nullptr) {
-      Eigen::Map<Matrix26> j(jacobians[0]);
-      j.leftCols<3>() = by_seen * Skew(seen) * RightJacobian(turn);
-      j.rightCols<3>() = -p[2] * by_seen * camera_from_world;
-    }
-    if (jacobians[1] != nullptr) {
-      Eigen::Map<Matrix23> j(jacobians[1]);
-      const Matrix23 by_direction = by_seen * camera_from_world;
-      j.col(0) = by_direction * tangent1_;
-      j.col(1) = by_direction * tangent2_;
-      j.col(2) = by_direction * offset;
-    }
-    return true;
-  }
-
- private:
-  Matrix3d start_rotation_;
-  BundlePoint point_;
-  Vector3d tangent1_;
-  Vector3d tangent2_;
-  Matrix23 across_;
-  double weight_;
+// What does not change while poses and points do.
+struct Sight {
+  int camera = 0;
+  Matrix23 across;  // two directions across the ray, times weight / kUnitAngle
 };
 
-class DistanceCost final : public ceres::SizedCostFunction<1, 6, 6> {
+class Adjuster {
  public:
-  explicit DistanceCost(const BundleDistance& distance) : distance_(distance) {}
-  bool Evaluate(const double* const* parameters, double* residuals,
-                double** jacobians) const override {
-    const Vector3d between = Eigen::Map<const Vector3d>(parameters[1] + 3) -
-                             Eigen::Map<const Vector3d>(parameters[0] + 3);
-    const double length = between.norm();
-    residuals[0] = (length - distance_.distance) / distance_.sigma;
-    if (jacobians == nullptr) return true;
-    const Vector3d slope =
-        length > 1e-12 ? Vector3d(between / (length * distance_.sigma)) : Vector3d::Zero();
-    for (int k = 0; k < 2; ++k) {
-      if (jacobians[k] == nullptr) continue;
-      Eigen::Map<Eigen::Matrix<double, 1, 6>> j(jacobians[k]);
-      j.setZero();
-      j.tail<3>() = (k == 0 ? -1.0 : 1.0) * slope.transpose();
+  Adjuster(const BundleOptions& options, Bundle* bundle)
+      : huber_(options.huber_rad / kUnitAngle),
+        max_iterations_(options.max_iterations),
+        bundle_(*bundle) {
+    // Observations in the order of their points.
+    first_.assign(bundle_.points.size() + 1, 0);
+    for (const BundleObservation& o : bundle_.observations) {
+      ++first_[static_cast<std::size_t>(o.point) + 1];
+    }
+    std::partial_sum(first_.begin(), first_.end(), first_.begin());
+    std::vector<std::size_t> next(first_.begin(), first_.end() - 1);
+    sights_.resize(bundle_.observations.size());
+    for (const BundleObservation& o : bundle_.observations) {
+      Sight& sight = sights_[next[static_cast<std::size_t>(o.point)]++];
+      const Vector3d e1 = o.ray.unitOrthogonal();
+      sight.camera = o.camera;
+      sight.across.row(0) = e1;
+      sight.across.row(1) = o.ray.cross(e1);
+      sight.across *= o.weight / kUnitAngle;
+    }
+    block_.assign(bundle_.cameras.size(), -1);
+    for (std::size_t c = 0; c < block_.size(); ++c) {
+      if (!bundle_.cameras[c].fixed) block_[c] = free_cameras_++;
+    }
+  }
+
+  bool Run() {
+    double cost = Cost(bundle_.cameras, bundle_.points);
+    if (!std::isfinite(cost)) return false;
+    const std::vector<BundleCamera> cameras_before = bundle_.cameras;
+    const std::vector<BundlePoint> points_before = bundle_.points;
+    double damping = kFirstDamping;
+    for (int iteration = 0; iteration < max_iterations_ && damping < kMostDamping; ++iteration) {
+      std::vector<BundleCamera> cameras = bundle_.cameras;
+      std::vector<BundlePoint> points = bundle_.points;
+      if (!Step(damping, &cameras, &points)) {
+        damping *= 10.0;
+        continue;
+      }
+      const double new_cost = Cost(cameras, points);
+      if (!(new_cost < cost)) {
+        damping *= 10.0;
+        continue;
+      }
+      bundle_.cameras = std::move(cameras);
+      bundle_.points = std::move(points);
+      damping = std::max(1e-9, 0.1 * damping);
+      const double gain = cost - new_cost;
+      cost = new_cost;
+      if (gain <= kSmallGain * cost) break;
+    }
+    for (const BundleCamera& camera : bundle_.cameras) {
+      if (camera.world_from_camera.rotation.coeffs().allFinite() &&
+          camera.world_from_camera.translation.allFinite()) {
+        continue;
+      }
+      bundle_.cameras = cameras_before;
+      bundle_.points = points_before;
+      return false;
     }
     return true;
   }
 
  private:
-  BundleDistance distance_;
+  double Loss(double square) const {
+    if (square <= huber_ * huber_) return square;
+    return 2.0 * huber_ * std::sqrt(square) - huber_ * huber_;
+  }
+  // What a squared residual counts in the normal equations.
+  double Weight(double square) const {
+    return square <= huber_ * huber_ ? 1.0 : huber_ / std::sqrt(square);
+  }
+
+  double Cost(const std::vector<BundleCamera>& cameras,
+              const std::vector<BundlePoint>& points) const {
+    std::vector<Matrix3d> camera_from_world;
+    for (const BundleCamera& camera : cameras) {
+      camera_from_world.push_back(camera.world_from_camera.rotation.conjugate().toRotationMatrix());
+    }
+    double cost = 0.0;
+    for (std::size_t p = 0; p < points.size(); ++p) {
+      const BundlePoint& point = points[p];
+      for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
+        const auto c = static_cast<std::size_t>(sights_[k].camera);
+        const Vector3d offset = point.reference - cameras[c].world_from_camera.translation;
+        const Vector3d seen =
+            camera_from_world[c] * (point.direction + point.inverse_distance * offset);
+        cost += Loss((sights_[k].across * seen).squaredNorm() / seen.squaredNorm());
+      }
+    }
+    for (const BundleDistance& distance : bundle_.distances) {
+      const double residual =
+          (Between(cameras, distance).norm() - distance.distance) / distance.sigma;
+      cost += residual * residual;
+    }
+    return cost;
+  }
+
+  static Vector3d Between(const std::vector<BundleCamera>& cameras,
+                          const BundleDistance& distance) {
+    return cameras[static_cast<std::size_t>(distance.b)].world_from_camera.translation -
+           cameras[static_cast<std::size_t>(distance.a)].world_from_camera.translation;
+  }
+
+  // One damped Gauss-Newton step from bundle_, applied to the copies.
+  bool Step(double damping, std::vector<BundleCamera>* cameras, std::vector<BundlePoint>* points) {
+    const int size = 6 * free_cameras_;
+    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
+    Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
+    std::vector<Matrix3d> camera_from_world;
+    for (const BundleCamera& camera : bundle_.cameras) {
+      camera_from_world.push_back(camera.world_from_camera.rotation.conjugate().toRotationMatrix());
+    }
+
+    // Camera blocks and, kept for going back, what couples each sight's camera to its point.
+    std::vector<Matrix63> coupling(sights_.size());
+    std::vector<Matrix3d> point_inverse(points->size());
+    std::vector<Vector3d> point_right(points->size());
+    std::vector<std::array<Vector3d, 2>> tangents(points->size());
+    for (std::size_t p = 0; p < points->size(); ++p) {
+      const BundlePoint& point = bundle_.points[p];
+      const Vector3d t1 = point.direction.unitOrthogonal();
+      const Vector3d t2 = point.direction.cross(t1);
+      tangents[p] = {t1, t2};
+      Matrix3d point_normal = Matrix3d::Zero();
+      Vector3d point_gradient = Vector3d::Zero();
+      for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
+        const Sight& sight = sights_[k];
+        const auto c = static_cast<std::size_t>(sight.camera);
+        const Matrix3d& turn = camera_from_world[c];
+        const Vector3d offset = point.reference - bundle_.cameras[c].world_from_camera.translation;
+        const Vector3d seen = turn * (point.direction + point.inverse_distance * offset);
+        const double inverse_length = 1.0 / seen.norm();
+        if (!std::isfinite(inverse_length)) return false;
+        const Vector2d residual = sight.across * seen * inverse_length;
+        const double weight = Weight(residual.squaredNorm());
+        const Matrix23 by_seen =
+            inverse_length * (sight.across - residual * (inverse_length * seen).transpose());
+        const Matrix23 by_direction = by_seen * turn;
+        Matrix23 by_point;
+        by_point.col(0) = by_direction * t1;
+        by_point.col(1) = by_direction * t2;
+        by_point.col(2) = by_direction * offset;
+        point_normal.noalias() += weight * by_point.transpose() * by_point;
+        point_gradient.noalias() -= weight * by_point.transpose() * residual;
+        const int block = block_[c];
+        if (block < 0) continue;
+        Matrix26 by_camera;
+        by_camera.leftCols<3>() = by_seen * Skew(seen);
+        by_camera.rightCols<3>() = -point.inverse_distance * by_direction;
+        normal.block<6, 6>(6 * block, 6 * block).noalias() +=
+            weight * by_camera.transpose() * by_camera;
+        right.segment<6>(6 * block).noalias() -= weight * by_camera.transpose() * residual;
+        coupling[k].noalias() = weight * by_camera.transpose() * by_point;
+      }
+      point_normal.diagonal() *= 1.0 + damping;
+      point_normal.diagonal().array() += 1e-9;
+      point_inverse[p] = point_normal.inverse();
+      point_right[p] = point_gradient;
+    }
+    for (const BundleDistance& distance : bundle_.distances) {
+      const Vector3d between = Between(bundle_.cameras, distance);
+      const double length = between.norm();
+      if (length < 1e-12) continue;
+      const double residual = (length - distance.distance) / distance.sigma;
+      const Vector3d slope = between / (length * distance.sigma);
+      const int a = block_[static_cast<std::size_t>(distance.a)];
+      const int b = block_[static_cast<std::size_t>(distance.b)];
+      const Matrix3d square = slope * slope.transpose();
+      if (a >= 0) {
+        normal.block<3, 3>(6 * a + 3, 6 * a + 3) += square;
+        right.segment<3>(6 * a + 3) += residual * slope;
+      }
+      if (b >= 0) {
+        normal.block<3, 3>(6 * b + 3, 6 * b + 3) += square;
+        right.segment<3>(6 * b + 3) -= residual * slope;
+      }
+      if (a >= 0 && b >= 0) {
+        normal.block<3, 3>(6 * a + 3, 6 * b + 3) -= square;
+        normal.block<3, 3>(6 * b + 3, 6 * a + 3) -= square;
+      }
+    }
+    normal.diagonal() *= 1.0 + damping;
+    normal.diagonal().array() += 1e-9;
+
+    // Eliminate the points.
+    for (std::size_t p = 0; p < points->size(); ++p) {
+      for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
+        const int row = block_[static_cast<std::size_t>(sights_[k].camera)];
+        if (row < 0) continue;
+        const Matrix63 scaled = coupling[k] * point_inverse[p];
+        right.segment<6>(6 * row).noalias() -= scaled * point_right[p];
+        for (std::size_t l = first_[p]; l < first_[p + 1]; ++l) {
+          const int column = block_[static_cast<std::size_t>(sights_[l].camera)];
+          if (column < 0 || column > row) continue;  // the lower triangle is enough
+          normal.block<6, 6>(6 * row, 6 * column).noalias() -= scaled * coupling[l].transpose();
+        }
+      }
+    }
+    Eigen::VectorXd step = Eigen::VectorXd::Zero(size);
+    if (size > 0) {
+      const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(normal);
+      if (factor.info() != Eigen::Success) return false;
+      step = factor.solve(right);
+      if (!step.allFinite()) return false;
+    }
+
+    for (std::size_t c = 0; c < cameras->size(); ++c) {
+      if (block_[c] < 0) continue;
+      Pose& pose = (*cameras)[c].world_from_camera;
+      const Vector3d turn = step.segment<3>(6 * block_[c]);
+      const double angle = turn.norm();
+      if (angle > 0.0) {
+        pose.rotation = (pose.rotation * Eigen::Quaterniond(Eigen::AngleAxisd(angle, turn / angle)))
+                            .normalized();
+      }
+      pose.translation += step.segment<3>(6 * block_[c] + 3);
+    }
+    for (std::size_t p = 0; p < points->size(); ++p) {
+      if (first_[p] == first_[p + 1]) continue;
+      Vector3d gradient = point_right[p];
+      for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
+        const int block = block_[static_cast<std::size_t>(sights_[k].camera)];
+        if (block >= 0) gradient.noalias() -= coupling[k].transpose() * step.segment<6>(6 * block);
+      }
+      const Vector3d move = point_inverse[p] * gradient;
+      BundlePoint& point = (*points)[p];
+      const Vector3d direction =
+          point.direction + move[0] * tangents[p][0] + move[1] * tangents[p][1];
+      const double length = direction.norm();
+      point.direction = direction / length;
+      point.inverse_distance = (point.inverse_distance + move[2]) / length;
+    }
+    return true;
+  }
+
+  double huber_;
+  int max_iterations_;
+  Bundle& bundle_;
+  std::vector<std::size_t> first_;  // sights of point p: [first_[p], first_[p + 1])
+  std::vector<Sight> sights_;
+  std::vector<int> block_;  // of a camera in the normal equations; -1 when fixed
+  int free_cameras_ = 0;
 };
 
 }  // namespace
@@ -137,79 +300,7 @@ double AngularError(const Bundle& bundle, const BundleObservation& observation) 
 }
 
 bool AdjustBundle(const BundleOptions& options, Bundle* bundle) {
-  std::vector<std::array<double, 6>> cameras(bundle->cameras.size());
-  std::vector<std::array<double, 3>> points(bundle->points.size());
-  std::vector<Matrix3d> rotations;
-  std::vector<std::array<Vector3d, 2>> tangents;
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    const Pose& pose = bundle->cameras[i].world_from_camera;
-    rotations.push_back(pose.rotation.toRotationMatrix());
-    cameras[i] = {0.0, 0.0, 0.0, pose.translation.x(), pose.translation.y(), pose.translation.z()};
-  }
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const Vector3d t1 = bundle->points[i].direction.unitOrthogonal();
-    tangents.push_back({t1, bundle->points[i].direction.cross(t1)});
-    points[i] = {0.0, 0.0, bundle->points[i].inverse_distance};
-  }
-
-  ceres::Problem::Options problem_options;
-  problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-  ceres::HuberLoss huber(options.huber_rad / kUnitAngle);
-  ceres::Problem problem(problem_options);
-  const auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    problem.AddParameterBlock(cameras[i].data(), 6);
-    if (bundle->cameras[i].fixed) problem.SetParameterBlockConstant(cameras[i].data());
-    ordering->AddElementToGroup(cameras[i].data(), 1);
-  }
-  std::vector<bool> used(points.size(), false);
-  for (const BundleObservation& observation : bundle->observations) {
-    const auto camera = static_cast<std::size_t>(observation.camera);
-    const auto point = static_cast<std::size_t>(observation.point);
-    problem.AddResidualBlock(
-        std::make_unique<AngleCost>(rotations[camera], bundle->points[point], tangents[point][0],
-                                    tangents[point][1], observation)
-            .release(),
-        &huber, cameras[camera].data(), points[point].data());
-    if (!used[point]) ordering->AddElementToGroup(points[point].data(), 0);
-    used[point] = true;
-  }
-  for (const BundleDistance& distance : bundle->distances) {
-    problem.AddResidualBlock(std::make_unique<DistanceCost>(distance).release(), nullptr,
-                             cameras[static_cast<std::size_t>(distance.a)].data(),
-                             cameras[static_cast<std::size_t>(distance.b)].data());
-  }
-
-  ceres::Solver::Options solver;
-  solver.linear_solver_type = ceres::DENSE_SCHUR;
-  solver.linear_solver_ordering = ordering;
-  solver.num_threads = 1;
-  solver.max_num_iterations = options.max_iterations;
-  solver.function_tolerance = 1e-7;
-  solver.parameter_tolerance = 1e-9;
-  solver.logging_type = ceres::SILENT;
-  ceres::Solver::Summary summary;
-  ceres::Solve(solver, &problem, &summary);
-  if (!summary.IsSolutionUsable()) return false;
-
-  for (std::size_t i = 0; i < cameras.size(); ++i) {
-    if (bundle->cameras[i].fixed) continue;
-    Pose& pose = bundle->cameras[i].world_from_camera;
-    pose.rotation =
-        Eigen::Quaterniond(rotations[i] * RotationFromVector(Vector3d(cameras[i].data())))
-            .normalized();
-    pose.translation = Vector3d(cameras[i].data() + 3);
-  }
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    if (!used[i]) continue;
-    BundlePoint& point = bundle->points[i];
-    const Vector3d direction =
-        point.direction + points[i][0] * tangents[i][0] + points[i][1] * tangents[i][1];
-    const double length = direction.norm();
-    point.direction = direction / length;
-    point.inverse_distance = points[i][2] / length;
-  }
-  return true;
+  return Adjuster(options, bundle).Run();
 }
 
 }  // namespace omnihdr

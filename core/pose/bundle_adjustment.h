@@ -55,8 +55,9 @@ Eigen::Vector3d RayFromPoint(const Pose& world_from_camera, const BundlePoint& p
 double AngularError(const Bundle& bundle, const BundleObservation& observation);
 
 // Moves cameras and points to the least sum of Huber-weighted squared angles (thesis 4.1) and
-// squared distance errors. Single-threaded and deterministic. At least one camera must be fixed. On
-// numerical failure everything stays where it was and the result is false.
+// squared distance errors: Levenberg-Marquardt on the cameras, the points eliminated (Schur
+// complement; Triggs et al. 2000). Single-threaded and deterministic. At least one camera must be
+// fixed. On numerical failure everything stays where it was and the result is false.
 bool AdjustBundle(const BundleOptions& options, Bundle* bundle);
 
 }  // namespace omnihdr

@@ -1,8 +1,11 @@
 #include "core/pose/feature_image.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <numbers>
+#include <utility>
 #include <vector>
 
 #include "core/base/parallel_for.h"
@@ -109,32 +112,61 @@ void FillFromSurroundings(Image<float>& values, Image<float>& weights) {
   }
 }
 
-// Chamfer distance to the nearest zero of `clearance`, columns wrapping round.
+// Shifted minima along a row whose ends meet: the distance to the nearest zero grows by one a
+// pixel, up to kMostClearance.
+void SpreadAlongRow(float* row, int width, std::vector<float>& padded) {
+  padded.resize(static_cast<std::size_t>(width) + 2 * 32);
+  float* middle = padded.data() + 32;
+  for (int shift = 1; shift <= 32; shift *= 2) {
+    std::copy_n(row, width, middle);
+    std::copy_n(row + width - shift, shift, middle - shift);
+    std::copy_n(row, shift, middle + width);
+    const float* left = middle - shift;
+    const float* right = middle + shift;
+    const float more = static_cast<float>(shift);
+    for (int x = 0; x < width; ++x) {
+      row[x] = std::min(row[x], std::min(left[x], right[x]) + more);
+    }
+  }
+}
+
+// Chamfer distance to the nearest zero of `clearance` (Borgefors 1986), columns wrapping round; at
+// most kMostClearance.
 void DistanceToNearestZero(Image<float>& clearance) {
   const int width = clearance.width();
   const int height = clearance.height();
   constexpr float kDiagonal = 1.4142F;
-  const auto relax = [&](int x, int y, int dy, int dx_first) {
-    float best = clearance.row(y)[x];
-    const int left = x == 0 ? width - 1 : x - 1;
-    const int right = x == width - 1 ? 0 : x + 1;
-    if (y + dy >= 0 && y + dy < height) {
-      const float* other = clearance.row(y + dy);
-      best = std::min({best, other[x] + 1.0F, other[left] + kDiagonal, other[right] + kDiagonal});
+  std::vector<float> padded;
+  std::vector<float> before(static_cast<std::size_t>(width) + 2);
+  const auto step = [&](int y, int from) {
+    float* row = clearance.row(y);
+    if (from >= 0 && from < height) {
+      const float* other = clearance.row(from);
+      std::copy_n(other, width, before.data() + 1);
+      before.front() = other[width - 1];
+      before.back() = other[0];
+      const float* at = before.data();
+      for (int x = 0; x < width; ++x) {
+        row[x] =
+            std::min(row[x], std::min(at[x + 1] + 1.0F, std::min(at[x], at[x + 2]) + kDiagonal));
+      }
     }
-    best = std::min(best, clearance.row(y)[dx_first < 0 ? left : right] + 1.0F);
-    clearance.row(y)[x] = best;
+    SpreadAlongRow(row, width, padded);
   };
-  for (int y = 0; y < height; ++y) {
-    for (int pass = 0; pass < 2; ++pass) {  // twice: the second carries on over the seam
-      for (int x = 0; x < width; ++x) relax(x, y, -1, -1);
-      for (int x = width - 1; x >= 0; --x) relax(x, y, -1, 1);
-    }
-  }
-  for (int y = height - 1; y >= 0; --y) {
-    for (int x = 0; x < width; ++x) relax(x, y, 1, -1);
-    for (int x = width - 1; x >= 0; --x) relax(x, y, 1, 1);
-  }
+  for (int y = 0; y < height; ++y) step(y, y - 1);
+  for (int y = height - 1; y >= 0; --y) step(y, y + 1);
+}
+
+// Natural logarithm of a positive normal number to 1e-7, in operations a compiler can do many at a
+// time.
+float Ln(float value) {
+  const auto bits = std::bit_cast<std::int32_t>(value);
+  const std::int32_t exponent = (bits - 0x3f3504f3) >> 23;  // mantissa in [√½, √2)
+  const float mantissa = std::bit_cast<float>(bits - exponent * (1 << 23));
+  const float s = (mantissa - 1.0F) / (mantissa + 1.0F);
+  const float s2 = s * s;
+  const float series = 2.0F * s * (1.0F + s2 * (1.0F / 3.0F + s2 * (0.2F + s2 * (1.0F / 7.0F))));
+  return static_cast<float>(exponent) * 0.693147181F + series;
 }
 
 }  // namespace
@@ -164,60 +196,76 @@ FeatureImage MakeFeatureImage(const Measurement& measurement, int width) {
   const int rows = static_cast<int>(std::floor((result.top_ordinate - bottom) / result.step_rad));
   if (rows < 16) return result;
 
-  // Columns first: three sums a pixel (grey, weight of grey, weight of pixels that measure).
   const int source_rows = radiance.height();
   const double ratio = static_cast<double>(radiance.width()) / columns;
-  std::vector<std::vector<Tap>> column_taps(static_cast<std::size_t>(columns));
+  std::vector<Tap> column_taps;
+  std::vector<std::size_t> first_tap{0};
   for (int x = 0; x < columns; ++x) {
-    column_taps[static_cast<std::size_t>(x)] =
-        Footprint(x * ratio, (x + 1) * ratio, radiance.width(), true);
+    const auto taps = Footprint(x * ratio, (x + 1) * ratio, radiance.width(), true);
+    column_taps.insert(column_taps.end(), taps.begin(), taps.end());
+    first_tap.push_back(column_taps.size());
   }
-  Image<float> reduced(columns, source_rows, 3);
-  ParallelFor(source_rows, 32, [&](int begin, int end) {
-    for (int y = begin; y < end; ++y) {
-      const float* pixels = radiance.row(y);
-      const std::uint8_t* why = flags.row(y);
-      float* out = reduced.row(y);
-      for (int x = 0; x < columns; ++x, out += 3) {
-        float grey = 0.0F;
-        float seen = 0.0F;
-        float usable = 0.0F;
-        for (const Tap& tap : column_taps[static_cast<std::size_t>(x)]) {
-          if ((why[tap.index] & kMasked) != 0) continue;
-          const float* p = pixels + 4 * static_cast<std::ptrdiff_t>(tap.index);
-          grey += tap.weight * (kGrey[0] * p[0] + kGrey[1] * p[1] + kGrey[2] * p[2]);
-          seen += tap.weight;
-          if ((why[tap.index] & kSaturatedAny) == 0) usable += tap.weight;
-        }
-        out[0] = grey;
-        out[1] = seen;
-        out[2] = usable;
+  // Three sums a pixel of a row: grey, share that is not masked, share that is measured.
+  const auto reduce_row = [&](int y, float* out) {
+    const float* pixels = radiance.row(y);
+    const std::uint8_t* why = flags.row(y);
+    for (std::size_t x = 0; x < static_cast<std::size_t>(columns); ++x, out += 3) {
+      float grey = 0.0F;
+      float seen = 0.0F;
+      float usable = 0.0F;
+      for (std::size_t k = first_tap[x]; k < first_tap[x + 1]; ++k) {
+        const Tap& tap = column_taps[k];
+        const std::uint8_t flag = why[tap.index];
+        if ((flag & kMasked) != 0) continue;
+        const float* p = pixels + 4 * static_cast<std::ptrdiff_t>(tap.index);
+        grey += tap.weight * (kGrey[0] * p[0] + kGrey[1] * p[1] + kGrey[2] * p[2]);
+        seen += tap.weight;
+        if ((flag & kSaturatedAny) == 0) usable += tap.weight;
       }
+      out[0] = grey;
+      out[1] = seen;
+      out[2] = usable;
     }
-  });
+  };
 
   result.softening = std::max(kSoftening * measurement.noise_floor, 1e-12F);
   result.log_radiance = Image<float>(columns, rows);
   result.clearance = Image<float>(columns, rows);
   Image<float> seen(columns, rows);
-  const float far = static_cast<float>(columns);
-  ParallelFor(rows, 16, [&](int begin, int end) {
-    std::vector<float> sums(static_cast<std::size_t>(columns) * 3);
+  const float far = static_cast<float>(kMostClearance);
+  ParallelFor(rows, 64, [&](int begin, int end) {
+    const auto values = static_cast<std::size_t>(columns) * 3;
+    std::vector<float> sums(values);
+    // Rows reduced lately: the next output row needs some of them again.
+    std::vector<std::pair<int, std::vector<float>>> reduced;
     for (int y = begin; y < end; ++y) {
       const double top = RowOfOrdinate(projection, result.top_ordinate - result.step_rad * y);
       const double low = RowOfOrdinate(projection, result.top_ordinate - result.step_rad * (y + 1));
+      const std::vector<Tap> taps = Footprint(top, low, source_rows, false);
       std::fill(sums.begin(), sums.end(), 0.0F);
-      for (const Tap& tap : Footprint(top, low, source_rows, false)) {
-        const float* in = reduced.row(tap.index);
-        for (std::size_t i = 0; i < sums.size(); ++i) sums[i] += tap.weight * in[i];
+      for (const Tap& tap : taps) {
+        auto row = std::find_if(reduced.begin(), reduced.end(),
+                                [&](const auto& r) { return r.first == tap.index; });
+        if (row == reduced.end()) {
+          // Rows come in ascending order: one before this output row's first is not needed again.
+          row = std::find_if(reduced.begin(), reduced.end(),
+                             [&](const auto& r) { return r.first < taps.front().index; });
+          if (row == reduced.end()) row = reduced.insert(row, {0, std::vector<float>(values)});
+          row->first = tap.index;
+          reduce_row(tap.index, row->second.data());
+        }
+        const float* in = row->second.data();
+        for (std::size_t i = 0; i < values; ++i) sums[i] += tap.weight * in[i];
       }
+      float* out = result.log_radiance.row(y);
       for (int x = 0; x < columns; ++x) {
         const float* sum = sums.data() + 3 * static_cast<std::ptrdiff_t>(x);
         const bool any = sum[1] > 0.0F;
-        result.log_radiance.row(y)[x] = any ? std::log(sum[0] / sum[1] + result.softening) : 0.0F;
+        out[x] = any ? std::max(0.0F, sum[0] / sum[1]) + result.softening : 1.0F;
         seen.row(y)[x] = any ? 1.0F : 0.0F;
         result.clearance.row(y)[x] = sum[2] >= kUsableShare ? far : 0.0F;
       }
+      for (int x = 0; x < columns; ++x) out[x] = Ln(out[x]);
     }
   });
   const auto clear = result.clearance.values();

@@ -7,6 +7,9 @@
 
 namespace omnihdr {
 
+// As far as clearance is measured, in pixels.
+inline constexpr int kMostClearance = 63;
+
 // The picture features are found on: natural logarithm of grey radiance on a Mercator panorama. A
 // Mercator map is conformal, so a small patch looks the same (to scale and rotation) wherever the
 // camera's motion takes it, and it shares its columns with both the cylinder and the
@@ -18,8 +21,9 @@ struct FeatureImage {
   double step_rad = 0.0;
   double top_ordinate = 0.0;  // Mercator ordinate asinh(tan(latitude)) of y = 0
   Image<float> log_radiance;  // W×H×1, ln of relative radiance; the left and right borders meet
-  Image<float> clearance;     // W×H×1, distance in pixels to the nearest pixel that says nothing
-  float softening = 0.0F;     // what was added to the radiance before the logarithm
+  Image<float>
+      clearance;  // W×H×1, pixels to the nearest one that says nothing, at most kMostClearance
+  float softening = 0.0F;  // what was added to the radiance before the logarithm
   // Variance of the relative radiance of one feature pixel: floor + slope · radiance.
   float variance_floor = 0.0F;
   float variance_slope = 0.0F;

@@ -13,7 +13,7 @@
 namespace omnihdr {
 namespace {
 
-constexpr double kBaseSigma = 1.6;   // of the first level of an octave, in its pixels
+constexpr double kBaseSigma = 1.2;   // of the first level of an octave, in its pixels
 constexpr double kInputSigma = 0.5;  // blur a sampled picture has anyway
 constexpr int kMinOctaveWidth = 64;
 constexpr int kMinOctaveHeight = 16;
@@ -163,7 +163,7 @@ bool FeatureFinder::Localise(const FeatureImage& image, int octave, int level, i
   const int column =
       static_cast<int>(std::lround(candidate->x * zoom) + image.width()) % image.width();
   const int row = std::clamp(static_cast<int>(std::lround(image_y)), 0, image.height() - 1);
-  if (image.clearance.row(row)[column] < needed) return false;
+  if (image.clearance.row(row)[column] < std::min<float>(needed, kMostClearance)) return false;
 
   // White noise of variance v a pixel leaves 0.084·v/(4πσ²) in a difference of Gaussians a third of
   // an octave apart.
@@ -272,6 +272,7 @@ std::vector<float> FeatureFinder::Orientations(const Candidate& candidate) const
   const int y0 = static_cast<int>(std::lround(candidate.y));
   const float window = 1.5F * candidate.sigma;
   const int radius = static_cast<int>(std::lround(3.0F * window));
+  const int stride = radius < 8 ? 1 : 2;  // the picture is smooth at this scale
   const float falloff = -0.5F / (window * window);
   std::array<float, kOrientationBins> raw{};
   std::vector<float> across(static_cast<std::size_t>(2 * radius) + 1);
@@ -279,10 +280,10 @@ std::vector<float> FeatureFinder::Orientations(const Candidate& candidate) const
     across[static_cast<std::size_t>(d + radius)] =
         std::exp(falloff * static_cast<float>(d) * static_cast<float>(d));
   }
-  for (int dy = -radius; dy <= radius; ++dy) {
+  for (int dy = -radius; dy <= radius; dy += stride) {
     const int y = y0 + dy;
     if (y < 1 || y >= height - 1) continue;
-    for (int dx = -radius; dx <= radius; ++dx) {
+    for (int dx = -radius; dx <= radius; dx += stride) {
       const int x = (x0 + dx + width) % width;
       const int left = x == 0 ? width - 1 : x - 1;
       const int right = x == width - 1 ? 0 : x + 1;

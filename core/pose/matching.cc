@@ -157,14 +157,23 @@ HWY_EXPORT(BestOfRows);
 
 constexpr std::int32_t kIndexMask = (1 << 13) - 1;
 
-// Distance of two unit vectors from the key of their scalar product.
-float Distance(std::int32_t key) {
-  constexpr float kSquare =
-      static_cast<float>(kDescriptorNorm) * static_cast<float>(kDescriptorNorm);
-  return std::sqrt(std::max(1e-6F, 2.0F - 2.0F * static_cast<float>(key >> 13) / kSquare));
+}  // namespace
+
+int DescriptorSimilarity(const FeatureSet& a, int index_a, const FeatureSet& b, int index_b) {
+  const std::int16_t* p =
+      a.descriptors.data() + static_cast<std::ptrdiff_t>(index_a) * kDescriptorLength;
+  const std::int16_t* q =
+      b.descriptors.data() + static_cast<std::ptrdiff_t>(index_b) * kDescriptorLength;
+  int sum = 0;
+  for (int k = 0; k < kDescriptorLength; ++k) sum += p[k] * q[k];
+  return sum;
 }
 
-}  // namespace
+float DescriptorDistance(int similarity) {
+  constexpr float kSquare =
+      static_cast<float>(kDescriptorNorm) * static_cast<float>(kDescriptorNorm);
+  return std::sqrt(std::max(1e-6F, 2.0F - 2.0F * static_cast<float>(similarity) / kSquare));
+}
 
 std::vector<Match> MatchFeatures(const FeatureSet& a, const FeatureSet& b, float max_ratio) {
   const int rows = std::min(a.size(), kMaxMatchableFeatures);
@@ -202,7 +211,8 @@ std::vector<Match> MatchFeatures(const FeatureSet& a, const FeatureSet& b, float
     for (const auto& stripe : column_best)
       top = std::max(top, stripe[static_cast<std::size_t>(column)]);
     if ((top & kIndexMask) != row) continue;
-    const float ratio = Distance(key) / Distance(second[static_cast<std::size_t>(row)]);
+    const float ratio = DescriptorDistance(key >> 13) /
+                        DescriptorDistance(second[static_cast<std::size_t>(row)] >> 13);
     if (ratio < max_ratio) matches.push_back({row, column, ratio});
   }
   return matches;

@@ -20,4 +20,8 @@ inline constexpr int kMaxMatchableFeatures = 8000;
 // machine. Sets larger than kMaxMatchableFeatures are cut. Uses the worker pool.
 std::vector<Match> MatchFeatures(const FeatureSet& a, const FeatureSet& b, float max_ratio);
 
+// Scalar product of two descriptors, and the distance of two unit vectors that have it.
+int DescriptorSimilarity(const FeatureSet& a, int index_a, const FeatureSet& b, int index_b);
+float DescriptorDistance(int similarity);
+
 }  // namespace omnihdr

@@ -22,7 +22,7 @@ namespace omnihdr {
 namespace {
 
 constexpr int kMinScaleClues = 8;         // points needed to carry the scale on
-constexpr int kMaxPoints = 1500;          // adjusted at a time, the longest tracks first
+constexpr int kMaxPoints = 3000;          // adjusted at a time, the longest tracks first
 constexpr int kMaxFixed = 3;              // oldest poses that hold frame and scale of a full window
 constexpr double kWildThresholds = 4.0;   // errors above this many thresholds are outliers at once
 constexpr double kOdometerShare = 0.003;  // sigma of a distance between positions: share of it ...

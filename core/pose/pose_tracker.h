@@ -16,7 +16,7 @@ namespace omnihdr {
 struct PoseOptions {
   int feature_image_width = 1536;        // features are found on the panorama reduced to this width
   int max_features = 3000;               // spread over equal-solid-angle buckets
-  double ransac_threshold_rad = 2.5e-3;  // angle between a ray and its epipolar plane
+  double ransac_threshold_rad = 3.5e-3;  // angle between a ray and its epipolar plane
   double min_inlier_fraction = 0.25;     // below: no link between two positions
   int min_inliers = 24;
   int window = 7;             // positions adjusted together; older ones stay as they are

@@ -237,68 +237,13 @@ double Median(std::vector<double> values) {
   return *middle;
 }
 
-}  // namespace
-
-double InverseDistance(const RayPair& pair, const Pose& b_from_a) {
-  // b ∥ R a + ρ t: ρ minimises |b × (R a + ρ t)|.
-  const Vector3d turned = b_from_a.rotation * pair.a;
-  const Vector3d across_turned = pair.b.cross(turned);
-  const Vector3d across_t = pair.b.cross(b_from_a.translation);
-  const double size = across_t.squaredNorm();
-  return size > 1e-9 ? -across_t.dot(across_turned) / size : 0.0;
-}
-
-RelativePose EstimateRelativePose(const std::vector<RayPair>& pairs, std::uint64_t seed,
-                                  const RelativePoseOptions& options) {
+// What to make of a motion found: which pairs agree with it, whether they are enough, and whether a
+// rotation alone would do.
+RelativePose Judge(const std::vector<RayPair>& pairs, const Motion& best,
+                   const RelativePoseOptions& options) {
   RelativePose result;
   const int count = static_cast<int>(pairs.size());
-  if (count < std::max(options.min_inliers, kSample)) {
-    return result;
-  }
-  Random random(seed);
-  const Columns columns(pairs, random);
   const double threshold = options.threshold_rad;
-
-  Motion best;
-  float best_score = 0.0F;
-  float best_first_look = 0.0F;
-  const int first_look = std::min(kFirstLook, count);
-  int needed = options.max_iterations;
-  for (int iteration = 0; iteration < needed; ++iteration) {
-    // The pool grows from the most distinct pairs to all of them within the first 500 draws.
-    const int pool = std::clamp(40 + count * iteration / 500, kSample, count);
-    std::array<int, kSample> sample{};
-    for (int k = 0; k < kSample;) {
-      const int index = random.Below(pool);
-      const auto end = sample.begin() + k;
-      if (std::find(sample.begin(), end, index) != end) continue;
-      sample[static_cast<std::size_t>(k++)] = index;
-    }
-    const auto essential = EightPoint(pairs, sample);
-    if (!essential) continue;
-    const float look = columns.Score(*essential, threshold, 0, first_look);
-    if (look < 0.5F * best_first_look) continue;
-    const float score = look + columns.Score(*essential, threshold, first_look, count);
-    if (score <= 0.7F * best_score) continue;
-    Motion motion = Decompose(*essential);
-    Refine(pairs, 3.0 * threshold, 2, &motion);
-    Refine(pairs, threshold, 3, &motion);
-    const Matrix3d refined = motion.Essential();
-    const float refined_look = columns.Score(refined, threshold, 0, first_look);
-    const float refined_score = refined_look + columns.Score(refined, threshold, first_look, count);
-    if (refined_score <= best_score) continue;
-    best = motion;
-    best_score = refined_score;
-    best_first_look = refined_look;
-    // Draws until a sample without an outlier was met with 99.9 %; the score is a cautious count.
-    const double share = std::clamp(static_cast<double>(best_score) / count, 0.01, 0.99);
-    const double enough = std::log(1e-3) / std::log1p(-std::pow(share, kSample));
-    needed = static_cast<int>(
-        std::clamp(enough, kFewestDraws, static_cast<double>(options.max_iterations)));
-  }
-  if (best_score <= 0.0F) return result;
-  Refine(pairs, 0.6 * threshold, 10, &best);
-
   const auto inliers_of = [&](const Matrix3d& essential) {
     std::vector<int> inliers;
     for (int i = 0; i < count; ++i) {
@@ -394,6 +339,76 @@ RelativePose EstimateRelativePose(const std::vector<RayPair>& pairs, std::uint64
   result.inliers = std::move(in_front);
   result.rms_rad = std::sqrt(squares / static_cast<double>(result.inliers.size()));
   return result;
+}
+
+}  // namespace
+
+double InverseDistance(const RayPair& pair, const Pose& b_from_a) {
+  // b ∥ R a + ρ t: ρ minimises |b × (R a + ρ t)|.
+  const Vector3d turned = b_from_a.rotation * pair.a;
+  const Vector3d across_turned = pair.b.cross(turned);
+  const Vector3d across_t = pair.b.cross(b_from_a.translation);
+  const double size = across_t.squaredNorm();
+  return size > 1e-9 ? -across_t.dot(across_turned) / size : 0.0;
+}
+
+RelativePose EstimateRelativePose(const std::vector<RayPair>& pairs, std::uint64_t seed,
+                                  const RelativePoseOptions& options) {
+  const int count = static_cast<int>(pairs.size());
+  if (count < std::max(options.min_inliers, kSample)) return {};
+  Random random(seed);
+  const Columns columns(pairs, random);
+  const double threshold = options.threshold_rad;
+
+  Motion best;
+  float best_score = 0.0F;
+  float best_first_look = 0.0F;
+  const int first_look = std::min(kFirstLook, count);
+  int needed = options.max_iterations;
+  for (int iteration = 0; iteration < needed; ++iteration) {
+    // The pool grows from the most distinct pairs to all of them within the first 500 draws.
+    const int pool = std::clamp(40 + count * iteration / 500, kSample, count);
+    std::array<int, kSample> sample{};
+    for (int k = 0; k < kSample;) {
+      const int index = random.Below(pool);
+      const auto end = sample.begin() + k;
+      if (std::find(sample.begin(), end, index) != end) continue;
+      sample[static_cast<std::size_t>(k++)] = index;
+    }
+    const auto essential = EightPoint(pairs, sample);
+    if (!essential) continue;
+    const float look = columns.Score(*essential, threshold, 0, first_look);
+    if (look < 0.5F * best_first_look) continue;
+    const float score = look + columns.Score(*essential, threshold, first_look, count);
+    if (score <= 0.7F * best_score) continue;
+    Motion motion = Decompose(*essential);
+    Refine(pairs, 3.0 * threshold, 2, &motion);
+    Refine(pairs, threshold, 3, &motion);
+    const Matrix3d refined = motion.Essential();
+    const float refined_look = columns.Score(refined, threshold, 0, first_look);
+    const float refined_score = refined_look + columns.Score(refined, threshold, first_look, count);
+    if (refined_score <= best_score) continue;
+    best = motion;
+    best_score = refined_score;
+    best_first_look = refined_look;
+    // Draws until a sample without an outlier was met with 99.9 %; the score is a cautious count.
+    const double share = std::clamp(static_cast<double>(best_score) / count, 0.01, 0.99);
+    const double enough = std::log(1e-3) / std::log1p(-std::pow(share, kSample));
+    needed = static_cast<int>(
+        std::clamp(enough, kFewestDraws, static_cast<double>(options.max_iterations)));
+  }
+  if (best_score <= 0.0F) return {};
+  Refine(pairs, 0.6 * threshold, 10, &best);
+  return Judge(pairs, best, options);
+}
+
+RelativePose RefineRelativePose(const std::vector<RayPair>& pairs, const RelativePose& start,
+                                const RelativePoseOptions& options) {
+  Motion motion{start.b_from_a.rotation.toRotationMatrix(), start.b_from_a.translation};
+  // A rotation alone has no direction: any does, to tell whether there is one after all.
+  if (motion.direction.norm() < 0.5) motion.direction = Vector3d::UnitX();
+  Refine(pairs, 0.6 * options.threshold_rad, 10, &motion);
+  return Judge(pairs, motion, options);
 }
 
 }  // namespace omnihdr

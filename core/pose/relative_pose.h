@@ -45,6 +45,11 @@ struct RelativePose {
 RelativePose EstimateRelativePose(const std::vector<RayPair>& pairs, std::uint64_t seed,
                                   const RelativePoseOptions& options);
 
+// The same judgement of pairs found with the help of a motion that is about right (the verdict of
+// `start` is not kNone): refined from there, without draws.
+RelativePose RefineRelativePose(const std::vector<RayPair>& pairs, const RelativePose& start,
+                                const RelativePoseOptions& options);
+
 // Inverse distance of the point seen along two rays, from camera a, in units of the baseline
 // (|translation| of b_from_a = 1): least squares along ray b; negative behind.
 double InverseDistance(const RayPair& pair, const Pose& b_from_a);

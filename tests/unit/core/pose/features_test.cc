@@ -60,13 +60,30 @@ TEST(Features, ASpotIsFoundWhereItIsToAnEighthOfAPixelOnEveryProjectionAndOnTheS
   for (const Projection& projection : {Projection::Equirectangular(1024, 512),
                                        Projection::Cylindrical(1024, 768, -2.356, 2.356)}) {
     FeatureFinder finder{FeatureOptions{}};
-    const FeatureSet set = finder.Find(MakeFeatureImage(Spots(projection, spots, 0.03), 1024));
+    const FeatureSet set = finder.Find(MakeFeatureImage(Spots(projection, spots, 0.015), 1024));
     const double pixel = 2.0 * M_PI / 1024;
     for (const Vector3d& spot : spots) {
       EXPECT_LT(NearestAngle(set, spot) / pixel, 0.125)
           << ToString(projection.kind()) << " " << spot.transpose();
     }
   }
+}
+
+TEST(Features, ClearanceIsTheDistanceToTheMaskRoundTheSeamAsWell) {
+  const Projection projection = Projection::Equirectangular(256, 128);
+  Measurement m = Spots(projection, {}, 0.1);
+  m.flags.row(64)[2] = kMasked;
+  const FeatureImage image = MakeFeatureImage(m, 256);
+  int row = 0;
+  while (image.clearance.row(row)[2] > 0.0F) ++row;
+  int last = row;  // the masked pixel may lie under two rows
+  while (image.clearance.row(last + 1)[2] <= 0.0F) ++last;
+  EXPECT_EQ(image.clearance.row(row)[12], 10.0F);
+  EXPECT_EQ(image.clearance.row(row)[250], 8.0F);
+  EXPECT_EQ(image.clearance.row(last + 7)[2], 7.0F);
+  EXPECT_EQ(image.clearance.row(row - 7)[2], 7.0F);
+  EXPECT_NEAR(image.clearance.row(last + 4)[254], 4.0F * std::sqrt(2.0F), 0.01F);
+  EXPECT_EQ(image.clearance.row(row)[130], kMostClearance);
 }
 
 TEST(Features, TheExposureOfAPictureIsNotSeenInItsFeaturePicture) {

@@ -1,3 +1,5 @@
+#include <ceres/ceres.h>
+#include <ceres/rotation.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -248,6 +250,85 @@ TEST(BundleAdjustment, DisturbedCamerasReturnToTheTruthAndKnownDistancesGiveTheS
       EXPECT_LT(found.rotation.angularDistance(scene.truth[c].rotation) / kDegree, 0.02);
       EXPECT_LT((found.translation - scene.truth[c].translation).norm(), 2e-3);
     }
+  }
+}
+
+// The same cost in the plainest form, for Ceres to differentiate.
+struct AngleCost {
+  Vector3d reference;
+  Vector3d ray;
+  double weight;
+  template <typename T>
+  bool operator()(const T* camera, const T* point, T* residual) const {
+    T seen[3];
+    for (int i = 0; i < 3; ++i) seen[i] = point[i] + point[3] * (T(reference[i]) - camera[3 + i]);
+    const T back[3] = {-camera[0], -camera[1], -camera[2]};
+    T turned[3];
+    ceres::AngleAxisRotatePoint(back, seen, turned);
+    const T length =
+        ceres::sqrt(turned[0] * turned[0] + turned[1] * turned[1] + turned[2] * turned[2]);
+    const Vector3d e1 = ray.unitOrthogonal();
+    const Vector3d e2 = ray.cross(e1);
+    for (int k = 0; k < 2; ++k) {
+      const Vector3d& e = k == 0 ? e1 : e2;
+      residual[k] =
+          (turned[0] * e[0] + turned[1] * e[1] + turned[2] * e[2]) * (weight / 1e-3) / length;
+    }
+    return true;
+  }
+};
+
+TEST(BundleAdjustment, EndsWhereCeresEnds) {
+  World world(31);
+  Scene scene = MakeScene(world, 6e-4);
+  scene.bundle.cameras[1].fixed = true;  // scale
+  for (std::size_t i = 0; i < scene.bundle.observations.size(); i += 30) {
+    auto& ray = scene.bundle.observations[i].ray;
+    ray = world.Noisy(ray, 5e-3);
+  }
+  Disturb(world, &scene);
+  Bundle reference = scene.bundle;
+
+  std::vector<std::array<double, 6>> cameras;
+  std::vector<std::array<double, 4>> points;
+  for (const BundleCamera& camera : reference.cameras) {
+    const Eigen::AngleAxisd turn(camera.world_from_camera.rotation);
+    const Vector3d w = turn.angle() * turn.axis();
+    const Vector3d t = camera.world_from_camera.translation;
+    cameras.push_back({w.x(), w.y(), w.z(), t.x(), t.y(), t.z()});
+  }
+  for (const BundlePoint& p : reference.points) {
+    points.push_back({p.direction.x(), p.direction.y(), p.direction.z(), p.inverse_distance});
+  }
+  ceres::Problem::Options ownership;
+  ownership.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  ceres::HuberLoss huber(1.0);
+  ceres::Problem problem(ownership);
+  for (const BundleObservation& o : reference.observations) {
+    const auto c = static_cast<std::size_t>(o.camera);
+    const auto p = static_cast<std::size_t>(o.point);
+    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<AngleCost, 2, 6, 4>(
+                                 new AngleCost{reference.points[p].reference, o.ray, o.weight}),
+                             &huber, cameras[c].data(), points[p].data());
+  }
+  for (std::size_t c = 0; c < 2; ++c) problem.SetParameterBlockConstant(cameras[c].data());
+  ceres::Solver::Options options;
+  options.linear_solver_type = ceres::DENSE_SCHUR;
+  options.max_num_iterations = 200;
+  options.function_tolerance = 1e-14;
+  options.parameter_tolerance = 1e-14;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  ASSERT_TRUE(summary.IsSolutionUsable());
+
+  ASSERT_TRUE(AdjustBundle({1e-3, 60}, &scene.bundle));
+  for (std::size_t c = 0; c < 6; ++c) {
+    const Vector3d w(cameras[c][0], cameras[c][1], cameras[c][2]);
+    const Quaterniond expected(Eigen::AngleAxisd(w.norm(), w.normalized()));
+    const Pose& found = scene.bundle.cameras[c].world_from_camera;
+    EXPECT_LT(found.rotation.angularDistance(expected), 2e-6);
+    EXPECT_LT((found.translation - Vector3d(cameras[c].data() + 3)).norm(), 1e-5);
   }
 }
 
