@@ -55,11 +55,22 @@ TEST(Measure, OneFrameReadsItsInverseResponseOverTime) {
     for (int z = 0; z < 256; ++z) {
       for (int c = 0; c < 3; ++c) {
         const double expected = response.ExposureFromValue(c, z) / t;
+        if (expected == 0.0) continue;  // see below
         EXPECT_NEAR(m->radiance.at(z, 0, c), expected, 1e-5 * expected) << "value " << z;
       }
     }
     EXPECT_NEAR(m->longest_exposure_s, t, 1e-7);
     EXPECT_NEAR(m->shortest_exposure_s, t, 1e-7);
+  }
+}
+
+TEST(Measure, AValueAtOrBelowBlackStandsForAQuarterOfTheFirstStepAboveIt) {
+  const DecodedImage image = Row({0, 5, 8, 9});
+  const Result<Measurement> m = MeasureFrames({{&image, Seconds(0.5)}}, *Response::Linear(8.0));
+  ASSERT_TRUE(m);
+  for (const int x : {0, 1, 2}) {
+    EXPECT_NEAR(m->radiance.at(x, 0, 1), 0.25 * m->radiance.at(3, 0, 1), 1e-7);
+    EXPECT_EQ(m->flags.at(x, 0), kDarkAny);
   }
 }
 

@@ -79,15 +79,36 @@ TEST(PanoramaSampler, OutsideACylinderIsMasked) {
   EXPECT_EQ(sampler.Sample({0.0F, 0.0F, -1.0F}).flags, kMasked);
 }
 
-TEST(PanoramaSampler, FlagsOfEveryPixelThatTakesPartAreSet) {
+TEST(PanoramaSampler, DarkPixelsAreBlendedAndSaySo) {
   Measurement m = Coordinates(Projection::Equirectangular(32, 16));
-  m.flags.at(0, 8) = kSaturatedB;
   m.flags.at(31, 8) = kDarkR;
-  m.flags.at(31, 9) = kMasked;
-  const PanoramaSampler sampler(m);
-  EXPECT_EQ(sampler.SampleAt(0.0F, 8.5F).flags & (kSaturatedB | kDarkR), kSaturatedB | kDarkR);
-  EXPECT_EQ(sampler.SampleAt(0.0F, 9.0F).flags, kSaturatedB | kDarkR | kMasked);
-  EXPECT_EQ(sampler.SampleAt(5.0F, 9.0F).flags, 0);
+  m.flags.at(0, 9) = kDarkB;
+  const RadianceSample s = PanoramaSampler(m).SampleAt(0.0F, 9.0F);
+  EXPECT_EQ(s.flags, kDarkR | kDarkB);
+  EXPECT_NEAR(s.rgb[0], 15.5, 1e-4);
+}
+
+TEST(PanoramaSampler, OnTheRimOfAClippedOrMaskedAreaTheNearestPixelAloneSpeaks) {
+  for (const std::uint8_t flag : {kSaturatedB, kSaturatedAny, kMasked}) {
+    Measurement m = Coordinates(Projection::Equirectangular(32, 16));
+    m.flags.at(0, 8) = flag;
+    const PanoramaSampler sampler(m);
+    const RadianceSample clipped = sampler.SampleAt(0.2F, 8.4F);
+    EXPECT_EQ(clipped.flags, flag);
+    EXPECT_EQ(clipped.rgb[0], 0.0F);
+    EXPECT_EQ(clipped.rgb[1], 8.0F);
+    const RadianceSample beside = sampler.SampleAt(31.9F, 8.4F);
+    EXPECT_EQ(beside.flags, 0);
+    EXPECT_EQ(beside.rgb[0], 31.0F);
+  }
+}
+
+TEST(PanoramaSampler, InsideAClippedAreaItInterpolatesTheBounds) {
+  Measurement m = Coordinates(Projection::Equirectangular(32, 16));
+  for (std::uint8_t& f : m.flags.values()) f = kSaturatedAny;
+  const RadianceSample s = PanoramaSampler(m).SampleAt(10.75F, 7.9F);
+  EXPECT_EQ(s.flags, kSaturatedAny);
+  EXPECT_NEAR(s.rgb[0], 10.25, 1e-5);
 }
 
 TEST(PanoramaSampler, RaysLandWhereTheProjectionSays) {
