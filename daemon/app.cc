@@ -430,12 +430,9 @@ void App::SetViewsError(const std::string& error) {
   });
 }
 
-void App::WaitForJournal(std::stop_token stop, Nanoseconds timeout) {
+void App::WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_t known) {
   std::unique_lock lock(mutex_);
-  const std::uint64_t known = journaled_;
-  const bool finish = finish_views_;
-  journal_grew_.wait_for(lock, stop, timeout,
-                         [&] { return journaled_ != known || finish_views_ != finish; });
+  journal_grew_.wait_for(lock, stop, timeout, [&] { return journaled_ != known || finish_views_; });
 }
 
 void App::OnViewDone(const ViewDone& view) {
@@ -539,7 +536,7 @@ Status App::RunPipeline(std::stop_token stop, Stage& self) {
         Rest(stop, seconds(1));
       }
     }
-    if (idle) WaitForJournal(stop, seconds(1));
+    if (idle && !finish) WaitForJournal(stop, seconds(1), journaled);
   }
   return {};
 }
@@ -597,14 +594,8 @@ void App::OnTriggersReady() {
   for (int i = 0; i < kTriggersAtOnce; ++i) {
     Result<std::optional<TriggerEvent>> event = parts_.triggers->Poll();
     if (!event) {
-      spdlog::error("trigger source {}: {}", parts_.triggers->kind(), event.error().message);
       StopSource();
-      armed_ = false;
-      state_.Update([&](CaptureConditions& c) {
-        c.armed = false;
-        c.idle =
-            fmt::format("trigger source {}: {}", parts_.triggers->kind(), event.error().message);
-      });
+      DisarmBecause(event.error());
       return;
     }
     if (!*event) {
@@ -623,6 +614,17 @@ void App::OnTriggersReady() {
     if (!source_running_) return;
   }
   trigger_timer_->Set(clock_.Now());
+}
+
+void App::DisarmBecause(const Error& error) {
+  const std::string reason =
+      fmt::format("trigger source {}: {}", parts_.triggers->kind(), error.message);
+  spdlog::error("{}", reason);
+  armed_ = false;
+  state_.Update([&](CaptureConditions& c) {
+    c.armed = false;
+    c.idle = reason;
+  });
 }
 
 void App::CheckSeriesEnd() {
@@ -646,22 +648,18 @@ void App::StartSource() {
   CheckSeriesEnd();
   if (phase_ != Phase::kRunning) return;
   if (const Status started = parts_.triggers->Start(); !started) {
-    spdlog::error("trigger source {}: {}", parts_.triggers->kind(), started.error().message);
-    armed_ = false;
-    state_.Update([&](CaptureConditions& c) {
-      c.armed = false;
-      c.idle =
-          fmt::format("trigger source {}: {}", parts_.triggers->kind(), started.error().message);
-    });
+    DisarmBecause(started.error());
     return;
   }
   source_running_ = true;
-  watched_fd_ = parts_.triggers->fd();
-  if (watched_fd_ >= 0) {
-    if (const Status watched = loop_->OnReadable(watched_fd_, [this] { OnTriggersReady(); });
-        !watched) {
-      spdlog::error("trigger source {}: {}", parts_.triggers->kind(), watched.error().message);
+  const int fd = parts_.triggers->fd();
+  if (fd >= 0) {
+    if (const Status watched = loop_->OnReadable(fd, [this] { OnTriggersReady(); }); !watched) {
+      StopSource();
+      DisarmBecause(watched.error());
+      return;
     }
+    watched_fd_ = fd;
   }
   OnTriggersReady();
 }

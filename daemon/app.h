@@ -113,7 +113,8 @@ class App final : public ApiBackend {
   Status FinishViews(SessionProcessor* processor);
   void OnViewDone(const ViewDone& view);
   void SetViewsError(const std::string& error);
-  void WaitForJournal(std::stop_token stop, Nanoseconds timeout);
+  // Until there is more than `known` lines, or the views are to be finished.
+  void WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_t known);
 
   // Main loop.
   void OnSignal(int signal);
@@ -121,6 +122,7 @@ class App final : public ApiBackend {
   Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
   void StartSource();
   void StopSource();
+  void DisarmBecause(const Error& error);
   void CheckSeriesEnd();
   void EndSession(const std::string& reason, bool exit_after);
   void StopNow(const std::string& reason);
