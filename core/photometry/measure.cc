@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/base/parallel_for.h"
+#include "core/photometry/noise_estimate.h"
 
 namespace omnihdr {
 namespace {
@@ -205,11 +206,20 @@ Result<Measurement> Measure(std::span<const ExposedFrame> frames, const Projecti
                 mask.width(), mask.height(), width, height);
   }
 
+  MeasureOptions resolved = options;
+  if (resolved.noise.read <= 0.0) {
+    double sum = 0.0;
+    for (const ExposedFrame& frame : frames) {
+      sum += EstimateReadNoise(*frame.image, bits, response.black(), options.noise);
+    }
+    resolved.noise.read = sum / static_cast<double>(frames.size());
+  }
+
   Measurement m;
   m.projection = projection;
   m.radiance = Image<float>(width, height, 4);
   m.flags = Image<std::uint8_t>(width, height);
-  const PixelMerger merger(prepared, options, response);
+  const PixelMerger merger(prepared, resolved, response);
   const PreparedFrame& shortest = prepared[merger.shortest()];
   const PreparedFrame& longest = prepared[merger.longest()];
   m.shortest_exposure_s = shortest.seconds;

@@ -7,7 +7,7 @@ namespace omnihdr {
 // read noise, photon (shot) noise, quantisation (photon transfer, Janesick 2007). `prnu` adds the
 // proportional part (pixel gain spread).
 struct NoiseModel {
-  double read = 0.5;    // code values rms
+  double read = 0.5;    // code values rms; 0 = to be estimated from each frame (Measure)
   double gain = 0.02;   // code values of variance per code value: 255 / full well in electrons
   double prnu = 0.005;  // fraction
   double VarianceOfValue(double value_above_black) const {

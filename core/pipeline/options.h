@@ -26,7 +26,7 @@ struct PipelineOptions {
   // [photometry]
   double value_low = 10.0;    // usable range of pixel values in 8-bit units (thesis 5.2.2)
   double value_high = 245.0;
-  NoiseModel noise;
+  NoiseModel noise = {.read = 0.0};  // read noise 0: estimated from each frame
   // [stereo]
   int stereo_width = 1024;     // of the equirectangular matching grid
   int labels = 96;             // inverse-distance hypotheses
@@ -37,7 +37,7 @@ struct PipelineOptions {
   // [merge]
   // log10 disagreement with the own view, beyond noise and misregistration, at which another view's
   // sample counts half
-  double consistency_sigma = 0.06;
+  double consistency_sigma = 0.03;
   Status Validate() const;  // kConfig error naming the option and its range
 };
 

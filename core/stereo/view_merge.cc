@@ -19,6 +19,9 @@ namespace {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kMaxSources = 8;
 constexpr float kTrustedConfidence = 0.4F;
+constexpr float kLeastNoiseFloors = 4.0F;   // a source darker than this has no ratio worth averaging
+constexpr float kLargestRatio = 6.0F;       // two samples farther apart do not show the same surface
+constexpr float kLeastBlockSamples = 4.0F;
 constexpr float kLeastTrust = 0.2F;
 constexpr float kHalfTrustSigmas = 3.0F;  // disagreement in standard deviations that halves the trust
 constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
@@ -91,24 +94,24 @@ class DisparityLookup {
   LatLongGrid grid_;
 };
 
-// How one source's radiance compares with the reference's where both measured the same surface: a smooth
-// field of ln(source / reference) over the sphere (light that changed, wrong exposure labels, vignetting,
-// a tone curve that is not quite undone) and how much they still differ beyond what noise explains. Fields
-// of two consistent views are zero.
+// How the reference's radiance compares with one source's where both measured the same surface: a smooth
+// field of reference / source over the sphere (light that changed, wrong exposure labels, vignetting, a
+// tone curve that is not quite undone, gloss) and how much they still differ beyond what noise explains.
+// Ratios are averaged, not their logarithms: the reference may be dark and noisy, and the mean of a ratio
+// to a cleaner source stays unbiased. The field of two consistent views is one.
 class AgreementField {
  public:
-  static constexpr int kWidth = 32;
-  static constexpr int kHeight = 16;
+  static constexpr int kWidth = 128;
+  static constexpr int kHeight = 64;
 
-  // Residuals by cell; `noise` is the variance noise and misregistration explain.
   struct Residual {
     int cell = 0;
-    float ln_ratio = 0.0F;
-    float noise = 0.0F;
+    float ratio = 1.0F;  // reference / source
+    float noise = 0.0F;  // variance of the ratio that noise and misregistration explain
   };
 
-  void Fit(std::vector<Residual> residuals) {
-    field_.fill(0.0F);
+  void Fit(const std::vector<Residual>& residuals) {
+    field_.assign(static_cast<std::size_t>(kWidth) * kHeight, 1.0F);
     excess_ = kUnknownExcess;
     if (residuals.size() < kLeastResiduals) return;
     std::vector<float> values(residuals.size());
@@ -118,18 +121,19 @@ class AgreementField {
       return *middle;
     };
     std::transform(residuals.begin(), residuals.end(), values.begin(),
-                   [](const Residual& r) { return r.ln_ratio; });
-    const float global = std::clamp(median_of(), -kLargestOffset, kLargestOffset);
-    // Robust cell means around the global offset: each residual counts less the farther it lies.
-    std::array<double, kWidth * kHeight> sum{};
-    std::array<double, kWidth * kHeight> weight{};
+                   [](const Residual& r) { return r.ratio; });
+    const float global = std::clamp(median_of(), 1.0F / kLargestFactor, kLargestFactor);
+    // Robust means around the global ratio: each residual counts less the farther it lies.
+    std::vector<double> sum(field_.size());
+    std::vector<double> weight(field_.size());
     for (const Residual& r : residuals) {
-      const double gap = r.ln_ratio - global;
+      const double gap = r.ratio - global;
       const double variance = r.noise + kCellSpread * kCellSpread;
-      const double w = 1.0 / (variance * (1.0 + gap * gap / (4.0 * variance)));
+      const double w = 1.0 / (variance * (1.0 + gap * gap / (9.0 * variance)));
       sum[static_cast<std::size_t>(r.cell)] += w * gap;
       weight[static_cast<std::size_t>(r.cell)] += w;
     }
+    static constexpr std::array<double, 5> kFalloff = {0.135, 0.607, 1.0, 0.607, 0.135};
     for (int y = 0; y < kHeight; ++y) {
       for (int x = 0; x < kWidth; ++x) {
         double s = 0.0;
@@ -139,19 +143,19 @@ class AgreementField {
           if (cy < 0 || cy >= kHeight) continue;
           for (int dx = -2; dx <= 2; ++dx) {
             const auto k = static_cast<std::size_t>(cy * kWidth + (x + dx + kWidth) % kWidth);
-            const double falloff = std::exp(-0.5 * (dx * dx + dy * dy));
+            const double falloff =
+                kFalloff[static_cast<std::size_t>(dx + 2)] * kFalloff[static_cast<std::size_t>(dy + 2)];
             s += falloff * sum[k];
             w += falloff * weight[k];
           }
         }
         field_[static_cast<std::size_t>(y * kWidth + x)] = std::clamp(
-            global + static_cast<float>(s / w), -kLargestOffset, kLargestOffset);
+            global + static_cast<float>(s / w), 1.0F / kLargestFactor, kLargestFactor);
       }
     }
     // What is left over, robustly, less what noise explains.
     std::transform(residuals.begin(), residuals.end(), values.begin(), [this](const Residual& r) {
-      const float gap = r.ln_ratio - field_[static_cast<std::size_t>(r.cell)];
-      return std::abs(gap);
+      return std::abs(r.ratio - field_[static_cast<std::size_t>(r.cell)]);
     });
     const float deviation = 1.4826F * median_of();
     std::transform(residuals.begin(), residuals.end(), values.begin(),
@@ -159,8 +163,8 @@ class AgreementField {
     excess_ = std::clamp(deviation * deviation - median_of(), 0.0F, kUnknownExcess);
   }
 
-  // Factor that brings the source's radiance to the reference's.
-  float Factor(float x, float y) const {  // in cells
+  // Factor that brings the source's radiance to the reference's, at a point in cells.
+  float Factor(float x, float y) const {
     const float fx = x - 0.5F;
     const float fy = std::clamp(y - 0.5F, 0.0F, static_cast<float>(kHeight - 1));
     const int x0 = static_cast<int>(std::floor(fx));
@@ -173,18 +177,18 @@ class AgreementField {
     };
     const float above = (1.0F - ax) * at(x0, y0) + ax * at(x0 + 1, y0);
     const float below = (1.0F - ax) * at(x0, y1) + ax * at(x0 + 1, y1);
-    return std::exp(-((1.0F - ay) * above + ay * below));
+    return (1.0F - ay) * above + ay * below;
   }
   // Relative variance of the source's radiance beyond noise and misregistration.
   float excess() const { return excess_; }
 
  private:
   static constexpr std::size_t kLeastResiduals = 200;
-  static constexpr float kLargestOffset = 0.7F;   // beyond a stop it is not drift but a mistake
+  static constexpr float kLargestFactor = 2.0F;   // beyond a stop it is not drift but a mistake
   static constexpr double kCellSpread = 0.05;
-  static constexpr double kPriorWeight = 4000.0;  // of the global offset, in units of residuals' weights
+  static constexpr double kPriorWeight = 1000.0;  // of the global ratio, in units of residuals' weights
   static constexpr float kUnknownExcess = 0.04F;
-  std::array<float, kWidth * kHeight> field_{};
+  std::vector<float> field_;
   float excess_ = kUnknownExcess;
 };
 
@@ -196,6 +200,18 @@ struct SourceLookup {
   Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
   Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
   AgreementField agreement;
+  // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a wrong
+  // registration that the noise of a single dark pixel hides.
+  Image<float> block_trust;
+};
+
+constexpr int kBlock = 8;  // output pixels
+
+struct BlockSums {
+  float mine = 0.0F;
+  float theirs = 0.0F;
+  float noise = 0.0F;
+  float count = 0.0F;
 };
 
 // Where a source sees the surface point at disparity `d` along the world ray: its image point. False when
@@ -320,19 +336,22 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   const float cells_per_pixel_x = static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
   const float cells_per_pixel_y = static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
   ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
-    constexpr int kStep = 4;  // pixels looked at, in each direction: a 16th of them is plenty
+    constexpr int kStep = 2;  // pixels looked at, in each direction
     for (int n = begin; n < end; ++n) {
       SourceLookup& source = sources[static_cast<std::size_t>(n)];
       std::vector<AgreementField::Residual> residuals;
+      const int blocks_x = (width + kBlock - 1) / kBlock;
+      const int blocks_y = (height + kBlock - 1) / kBlock;
+      std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
+                                    static_cast<std::size_t>(blocks_y));
       for (int y = kStep / 2; y < height; y += kStep) {
         for (int x = kStep / 2; x < width; x += kStep) {
           const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
           const RadianceSample mine = own_sampler.Sample(own_from_world * ray);
-          if (mine.flags != 0) continue;
+          if ((mine.flags & (kMasked | kSaturatedAny)) != 0) continue;
           DisparityLookup::Value d;
           if (disparity != nullptr) {
             d = disparity->At(ray, -1.0F);
-            if (d.confidence < kTrustedConfidence) continue;
           }
           float px = 0.0F;
           float py = 0.0F;
@@ -340,25 +359,47 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             continue;
           }
           const RadianceSample theirs = source.sampler->SampleAt(px, py);
-          if (theirs.flags != 0) continue;
+          if ((theirs.flags & (kMasked | kSaturatedAny)) != 0) continue;
           const float mine_y = Luminance(mine.rgb.data());
           const float theirs_y = Luminance(theirs.rgb.data());
           if (!(mine_y > 0.0F) || !(theirs_y > 0.0F)) continue;
-          const float contrast =
-              LocalContrast(*source.measurement, px, py) * options.misalignment_px / theirs_y;
-          const auto relative_noise = [](const Measurement& m, float e) {
-            return (m.variance_floor[1] + m.variance_per_radiance[1] * e) / (e * e);
+          BlockSums& block = blocks[static_cast<std::size_t>((y / kBlock) * blocks_x + x / kBlock)];
+          const auto variance = [](const Measurement& m, float e) {
+            return m.variance_floor[1] + m.variance_per_radiance[1] * e;
           };
+          const float noise = variance(own, theirs_y) + variance(*source.measurement, theirs_y);
+          block.mine += mine_y;
+          block.theirs += theirs_y;
+          block.noise += noise;
+          block.count += 1.0F;
+          if (disparity != nullptr && d.confidence < kTrustedConfidence) continue;
+          if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
+          const float ratio = mine_y / theirs_y;
+          if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
+          const float contrast = LocalContrast(*source.measurement, px, py) * options.misalignment_px;
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
                                AgreementField::kWidth +
                            static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
-          residuals.push_back({cell, std::log(theirs_y / mine_y),
-                               relative_noise(own, mine_y) +
-                                   relative_noise(*source.measurement, theirs_y) +
-                                   contrast * contrast});
+          residuals.push_back({cell, ratio, (noise + contrast * contrast) / (theirs_y * theirs_y)});
         }
       }
-      source.agreement.Fit(std::move(residuals));
+      source.agreement.Fit(residuals);
+      source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
+      for (int by = 0; by < blocks_y; ++by) {
+        for (int bx = 0; bx < blocks_x; ++bx) {
+          const BlockSums& b =
+              blocks[static_cast<std::size_t>(by) * static_cast<std::size_t>(blocks_x) +
+                     static_cast<std::size_t>(bx)];
+          if (b.count < kLeastBlockSamples) continue;
+          const float factor = source.agreement.Factor(
+              (static_cast<float>(bx) + 0.5F) * kBlock * cells_per_pixel_x,
+              (static_cast<float>(by) + 0.5F) * kBlock * cells_per_pixel_y);
+          const float gap = b.mine - factor * b.theirs;
+          const float tolerance = options.block_error * std::max(b.mine, factor * b.theirs);
+          const float r = gap * gap / (9.0F * (b.noise + tolerance * tolerance));
+          source.block_trust.at(bx, by) = 1.0F / (1.0F + r * r);
+        }
+      }
     }
   });
 
@@ -394,6 +435,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const RadianceSample raw = source.sampler->SampleAt(px, py);
           if ((raw.flags & kMasked) != 0) continue;
           Sample s = make_sample(*source.measurement, raw);
+          s.trust = source.block_trust.at(x / kBlock, y / kBlock);
           const float factor = source.agreement.Factor(cell_x, cell_y);
           for (std::size_t c = 0; c < 3; ++c) {
             s.radiance[c] *= factor;
@@ -427,7 +469,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
               chi += gap * gap / (s.variance[c] + here + tolerance * tolerance);
             }
             const float r = chi / (3.0F * kHalfTrustSigmas * kHalfTrustSigmas);
-            s.trust = 1.0F / (1.0F + r * r);
+            s.trust *= 1.0F / (1.0F + r * r);
           }
         }
 

@@ -28,8 +28,9 @@ struct MergeOptions {
   float misalignment_px = 0.35F;      // expected registration error of a trusted disparity, in pixels
   float distrusted_px = 1.2F;         // of one with confidence 0
   float model_error = 0.03F;          // relative error every sample has besides noise
-  float consistency_log10 = 0.06F;    // log10 disagreement with the own view, beyond noise and
+  float consistency_log10 = 0.03F;    // log10 disagreement with the own view, beyond noise and
                                       // misregistration, at which a sample counts half
+  float block_error = 0.02F;          // relative error of a block's mean that still counts as agreement
   float occlusion_tolerance = 0.05F;  // relative: a surface nearer by more hides the sample
 };
 
