@@ -82,8 +82,14 @@ function(omnihdr_test name)
     # Unit tests do not know the build folder: ccache shares their objects between builds.
     target_compile_definitions(${name} PRIVATE OMNIHDR_BINARY_DIR="${PROJECT_BINARY_DIR}")
   endif()
-  gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST
-    PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT})
+  gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60)
+  # Not as PROPERTIES of the call above: there a list of labels falls apart and swallows the timeout.
+  set(properties "${CMAKE_CURRENT_BINARY_DIR}/${name}_properties.cmake")
+  file(WRITE "${properties}" "if(${name}_TESTS)
+  set_tests_properties(\${${name}_TESTS} PROPERTIES LABELS \"${ARG_LABELS}\" TIMEOUT ${ARG_TIMEOUT})
+endif()
+")
+  set_property(DIRECTORY APPEND PROPERTY TEST_INCLUDE_FILES "${properties}")
 endfunction()
 
 # omnihdr_fuzz(journal_fuzz DEPS core_session): one libFuzzer program from NAME.cc of the calling
