@@ -19,9 +19,9 @@ constexpr int kColumnMultiple = 32;
 constexpr int kSmallestWidth = 64;
 // Grey: about what each channel of a daylight picture measures best.
 constexpr float kGrey[3] = {0.3F, 0.5F, 0.2F};
-// Radiance added before the logarithm, in units of the noise floor: below it, noise would outweigh
-// contrast.
-constexpr float kSoftening = 4.0F;
+// Radiance added before the logarithm, in units of the noise floor. More would dampen contrast in
+// the dark, where short exposures meet long ones; less would let noise speak.
+constexpr float kSoftening = 0.5F;
 // A pixel counts as usable when this share of its footprint does.
 constexpr float kUsableShare = 0.999F;
 

@@ -147,7 +147,10 @@ Link LinkPositions(PositionId from, const FeatureSet& from_features, PositionId 
   const std::uint64_t seed = static_cast<std::uint64_t>(Value(from)) * 0x100000001b3ULL +
                              static_cast<std::uint64_t>(Value(to));
   link.motion = EstimateRelativePose(Rays(from_features, to_features, matches), seed, relative);
-  if (!link.ok()) return link;
+  if (!link.ok()) {
+    for (const Match& match : matches) link.unexplained.emplace_back(match.a, match.b);
+    return link;
+  }
 
   std::vector<int> similarities;
   for (const int i : link.motion.inliers) {
@@ -175,6 +178,24 @@ Link LinkPositions(PositionId from, const FeatureSet& from_features, PositionId 
     link.inliers.emplace_back(match.a, match.b);
   }
   return link;
+}
+
+std::vector<std::pair<int, int>> MatchByMotion(const FeatureSet& from_features,
+                                               const FeatureSet& to_features,
+                                               const Pose& to_from_from, int least_similarity,
+                                               const PoseOptions& options) {
+  RelativePose motion;
+  const double length = to_from_from.translation.norm();
+  motion.b_from_a = to_from_from;
+  motion.verdict =
+      length > 1e-9 ? RelativePose::Verdict::kBaseline : RelativePose::Verdict::kRotation;
+  if (length > 1e-9) motion.b_from_a.translation /= length;
+  std::vector<std::pair<int, int>> pairs;
+  for (const Match& match : MatchAlong(from_features, to_features, motion, least_similarity,
+                                       options.ransac_threshold_rad)) {
+    pairs.emplace_back(match.a, match.b);
+  }
+  return pairs;
 }
 
 std::string WhyNoLink(const Link& link, int from_features, int to_features,

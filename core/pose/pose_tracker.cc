@@ -7,6 +7,7 @@
 #include <cmath>
 #include <deque>
 #include <numbers>
+#include <set>
 #include <utility>
 
 #include "core/pose/bundle_adjustment.h"
@@ -14,6 +15,7 @@
 #include "core/pose/features.h"
 #include "core/pose/link.h"
 #include "core/pose/matching.h"
+#include "core/pose/resection.h"
 #include "core/pose/scale.h"
 #include "core/pose/tracker_state.h"
 #include "core/pose/tracks.h"
@@ -21,8 +23,10 @@
 namespace omnihdr {
 namespace {
 
-constexpr int kMinScaleClues = 8;         // points needed to carry the scale on
-constexpr int kMaxPoints = 3000;          // adjusted at a time, the longest tracks first
+constexpr double kKnownParallax = 3.0e-3;  // radian; with less, where a point is is not known
+constexpr int kMinAdopted = 10;            // pairs that poses lead to, worth having
+constexpr int kMinScaleClues = 8;          // points needed to carry the scale on
+constexpr int kMaxPoints = 3000;           // adjusted at a time, the longest tracks first
 constexpr int kMaxFixed = 3;              // oldest poses that hold frame and scale of a full window
 constexpr double kWildThresholds = 4.0;   // errors above this many thresholds are outliers at once
 constexpr double kOdometerShare = 0.003;  // sigma of a distance between positions: share of it ...
@@ -37,6 +41,26 @@ double Quantile(std::vector<double>& values, double q) {
   const auto it = values.begin() + static_cast<std::ptrdiff_t>(index);
   std::nth_element(values.begin(), it, values.end());
   return *it;
+}
+
+// What follows from a position's pixels.
+struct Evidence {
+  FeatureSet features;
+  std::vector<Link> links;  // to older positions of the window
+};
+
+// Makes remembered pairs a link of the position they belong to. Pairs beyond the features there are
+// (the pictures are not those they were found in) are left out.
+void AdoptPairs(const AdoptedPairs& adopted, int from_features, Evidence* evidence) {
+  for (Link& link : evidence->links) {
+    if (link.from != adopted.from) continue;
+    link.inliers.clear();
+    for (const auto& [a, b] : adopted.features) {
+      if (a < 0 || a >= from_features || b < 0 || b >= evidence->features.size()) continue;
+      link.inliers.emplace_back(a, b);
+    }
+    link.motion.verdict = RelativePose::Verdict::kBaseline;
+  }
 }
 
 class Tracker final : public PoseTracker {
@@ -56,17 +80,17 @@ class Tracker final : public PoseTracker {
   void Rewarm(PositionId position, const Measurement& measurement) override;
 
  private:
-  // What follows from a position's pixels; parallel to state_.window, but shorter while rewarming.
-  struct Evidence {
-    FeatureSet features;
-    std::vector<Link> links;  // to older positions of the window
-  };
-
   std::size_t size() const { return state_.window.size(); }
   const PoseEstimate& estimate(std::size_t i) const { return state_.window[i].estimate; }
   std::optional<std::size_t> IndexOf(PositionId position) const;
   Evidence Observe(std::size_t index, PositionId position, const Measurement& measurement);
-  void Place(TrackedPosition* tracked, const Evidence& evidence, const std::optional<Pose>& prior);
+  struct Sights {
+    std::vector<PointSight> points;
+    std::vector<int> similarities;  // of the features that led to them
+  };
+  Sights KnownPoints(int chain, const Evidence& evidence, const std::vector<Track>& tracks) const;
+  void Adopt(TrackedPosition* tracked, Evidence* evidence, int least_similarity) const;
+  void Place(TrackedPosition* tracked, Evidence* evidence, const std::optional<Pose>& prior);
   void StartChain(TrackedPosition* tracked, std::string reason, const std::optional<Pose>& prior);
   std::vector<Track> Tracks() const;
   void Adjust(int chain);
@@ -75,6 +99,7 @@ class Tracker final : public PoseTracker {
   PoseOptions options_;
   FeatureFinder finder_;
   TrackerState state_;
+  // Parallel to state_.window, but shorter while rewarming and one longer while placing.
   std::deque<Evidence> evidence_;
 };
 
@@ -93,8 +118,7 @@ std::vector<PoseEstimate> Tracker::Window() const {
 
 // Features of a position that is (or will be) at `index` of the window, and its links to those
 // before.
-Tracker::Evidence Tracker::Observe(std::size_t index, PositionId position,
-                                   const Measurement& measurement) {
+Evidence Tracker::Observe(std::size_t index, PositionId position, const Measurement& measurement) {
   Evidence evidence;
   evidence.features = finder_.Find(MakeFeatureImage(measurement, options_.feature_image_width));
   for (std::size_t back = 1; back <= static_cast<std::size_t>(options_.link_span); ++back) {
@@ -136,9 +160,70 @@ std::vector<Track> Tracker::Tracks() const {
   return BuildTracks(counts, pairs);
 }
 
-// The first pose of a position just observed (the last of evidence_, not yet of the window): from
-// the link that explains most of the points known already, or a new chain.
-void Tracker::Place(TrackedPosition* tracked, const Evidence& evidence,
+// Points of a chain whose places are known, with the rays under which the newest position (the last
+// of evidence_, not yet of the window) may see them: through the matches of all its links, good or
+// not.
+Tracker::Sights Tracker::KnownPoints(int chain, const Evidence& evidence,
+                                     const std::vector<Track>& tracks) const {
+  const std::size_t newest = size();
+  // Which track a feature belongs to.
+  std::vector<std::vector<int>> track_of(newest);
+  for (std::size_t i = 0; i < newest; ++i) {
+    track_of[i].assign(evidence_[i].features.features.size(), -1);
+  }
+  for (std::size_t t = 0; t < tracks.size(); ++t) {
+    for (const auto& [position, feature] : tracks[t].sightings) {
+      if (static_cast<std::size_t>(position) == newest) continue;
+      track_of[static_cast<std::size_t>(position)][static_cast<std::size_t>(feature)] =
+          static_cast<int>(t);
+    }
+  }
+  Sights sights;
+  std::set<std::pair<int, int>> taken;  // (track, feature of the newest)
+  for (const Link& link : evidence.links) {
+    const std::size_t from = *IndexOf(link.from);
+    if (estimate(from).chain != chain) continue;
+    for (const auto& [old_feature, new_feature] : link.ok() ? link.inliers : link.unexplained) {
+      const int track = track_of[from][static_cast<std::size_t>(old_feature)];
+      if (track < 0 || !taken.emplace(track, new_feature).second) continue;
+      std::vector<Sighting> sightings;
+      for (const auto& [position, feature] : tracks[static_cast<std::size_t>(track)].sightings) {
+        const auto p = static_cast<std::size_t>(position);
+        if (p == newest || estimate(p).chain != chain) continue;
+        sightings.push_back(
+            {&estimate(p).world_from_camera,
+             evidence_[p].features.features[static_cast<std::size_t>(feature)].ray});
+      }
+      if (sightings.size() < 2 || LargestParallax(sightings) < kKnownParallax) continue;
+      sights.points.push_back(
+          {Triangulate(sightings),
+           evidence.features.features[static_cast<std::size_t>(new_feature)].ray});
+      sights.similarities.push_back(DescriptorSimilarity(evidence_[from].features, old_feature,
+                                                         evidence.features, new_feature));
+    }
+  }
+  return sights;
+}
+
+// Gives the links that found no motion the pairs that the poses, now known, allow.
+void Tracker::Adopt(TrackedPosition* tracked, Evidence* evidence, int least_similarity) const {
+  for (Link& link : evidence->links) {
+    const std::size_t from = *IndexOf(link.from);
+    if (link.ok() || estimate(from).chain != tracked->estimate.chain) continue;
+    const Pose to_from_from =
+        tracked->estimate.world_from_camera.Inverse() * estimate(from).world_from_camera;
+    auto pairs = MatchByMotion(evidence_[from].features, evidence->features, to_from_from,
+                               least_similarity, options_);
+    if (static_cast<int>(pairs.size()) < kMinAdopted) continue;
+    tracked->adopted.push_back({link.from, pairs});
+    AdoptPairs(tracked->adopted.back(), evidence_[from].features.size(), evidence);
+  }
+}
+
+// The first pose of a position just observed (the last of evidence_, not yet of the window): of
+// those its links propose, and the one its known points do, that which explains most known points;
+// or a new chain.
+void Tracker::Place(TrackedPosition* tracked, Evidence* evidence,
                     const std::optional<Pose>& prior) {
   PoseEstimate& e = tracked->estimate;
   tracked->given = prior.has_value();
@@ -160,61 +245,34 @@ void Tracker::Place(TrackedPosition* tracked, const Evidence& evidence,
   }
 
   const Link* strongest = nullptr;
-  for (const Link& link : evidence.links) {
+  for (const Link& link : evidence->links) {
     if (link.ok() && (strongest == nullptr || link.inliers.size() > strongest->inliers.size())) {
       strongest = &link;
     }
   }
-  if (strongest == nullptr) {
-    const Link& nearest = evidence.links.front();
-    const auto from = IndexOf(nearest.from);
-    return StartChain(
-        tracked,
-        WhyNoLink(nearest, evidence_[*from].features.size(), evidence.features.size(), options_),
-        prior);
-  }
-  const int chain_id = estimate(*IndexOf(strongest->from)).chain;
+  const int chain_id =
+      estimate(*IndexOf(strongest != nullptr ? strongest->from : evidence->links.front().from))
+          .chain;
   Chain& chain = state_.chains.at(chain_id);
-  const std::vector<Track> tracks = Tracks();
-  const int newest = static_cast<int>(size());
+  const Sights sights = KnownPoints(chain_id, *evidence, Tracks());
 
   struct Proposal {
     Pose pose;
-    const Link* link = nullptr;
-    bool unit = false;  // sets the length of a chain that had none
-    int support = -1;   // known points that agree
+    const Link* link = nullptr;  // null: from known points
+    bool unit = false;           // sets the length of a chain that had none
+    int support = 0;             // known points that agree
   };
-  std::optional<Proposal> best;
-  int most_clues = 0;
-  for (const Link& link : evidence.links) {
-    if (!link.ok()) continue;
+  std::vector<Proposal> proposals;
+  std::vector<ScaleClue> clues;
+  for (const PointSight& sight : sights.points) clues.push_back({sight.point, sight.ray});
+  for (const Link& link : evidence->links) {
     const std::size_t from = *IndexOf(link.from);
-    if (estimate(from).chain != chain_id) continue;
+    if (!link.ok() || estimate(from).chain != chain_id) continue;
     const Pose& old_pose = estimate(from).world_from_camera;
-    // Points seen by the old position, known from at least one other, and seen now.
-    std::vector<ScaleClue> clues;
-    for (const Track& track : tracks) {
-      if (track.sightings.back().first != newest) continue;
-      bool by_old = false;
-      std::vector<Sighting> sightings;
-      for (const auto& [position, feature] : track.sightings) {
-        if (position == newest) continue;
-        const auto p = static_cast<std::size_t>(position);
-        if (estimate(p).chain != chain_id) continue;
-        by_old = by_old || p == from;
-        sightings.push_back(
-            {&estimate(p).world_from_camera,
-             evidence_[p].features.features[static_cast<std::size_t>(feature)].ray});
-      }
-      if (!by_old || sightings.size() < 2 || LargestParallax(sightings) < 3e-3) continue;
-      const auto feature = static_cast<std::size_t>(track.sightings.back().second);
-      clues.push_back({Triangulate(sightings), evidence.features.features[feature].ray});
-    }
     Proposal proposal;
     proposal.link = &link;
     Pose new_from_old = link.motion.b_from_a;
     if (link.has_baseline()) {
-      most_clues = std::max(most_clues, static_cast<int>(clues.size()));
       std::optional<double> travelled;
       const auto& before = state_.window[from].odometer_m;
       if (before && tracked->odometer_m && *tracked->odometer_m > *before) {
@@ -233,26 +291,45 @@ void Tracker::Place(TrackedPosition* tracked, const Evidence& evidence,
       new_from_old.translation *= *baseline;
     }
     proposal.pose = old_pose * new_from_old.Inverse();
-    proposal.support = 0;
-    for (const ScaleClue& clue : clues) {
-      const Eigen::Vector3d seen = RayFromPoint(proposal.pose, clue.point);
-      if (seen.dot(clue.ray_in_new) > 0.0 &&
-          seen.cross(clue.ray_in_new).norm() < 2.0 * options_.ransac_threshold_rad * seen.norm()) {
-        ++proposal.support;
-      }
+    proposals.push_back(proposal);
+  }
+  const bool all_linked = std::all_of(evidence->links.begin(), evidence->links.end(),
+                                      [](const Link& link) { return link.ok(); });
+  if (chain.scaled && (!all_linked || proposals.empty())) {
+    ResectionOptions resection;
+    resection.threshold_rad = options_.ransac_threshold_rad;
+    const auto found = EstimatePoseFromPoints(
+        sights.points, static_cast<std::uint64_t>(Value(e.position)), resection);
+    if (found) proposals.push_back({.pose = found->world_from_camera});
+  }
+  const auto agrees = [&](const Pose& pose, const PointSight& sight) {
+    const Eigen::Vector3d seen = RayFromPoint(pose, sight.point);
+    return seen.dot(sight.ray) > 0.0 &&
+           seen.cross(sight.ray).norm() < 2.0 * options_.ransac_threshold_rad * seen.norm();
+  };
+  const Proposal* best = nullptr;
+  for (Proposal& proposal : proposals) {
+    for (const PointSight& sight : sights.points) {
+      if (agrees(proposal.pose, sight)) ++proposal.support;
     }
     // Without known points (second position of a chain) the link with most inliers decides.
     const auto rank = [](const Proposal& p) {
-      return std::pair(p.support, p.link->inliers.size());
+      return std::pair(p.support, p.link != nullptr ? p.link->inliers.size() : 0);
     };
-    if (!best || rank(proposal) > rank(*best)) best = proposal;
+    if (best == nullptr || rank(proposal) > rank(*best)) best = &proposal;
   }
-  if (!best) {
+  if (best == nullptr && strongest == nullptr) {
+    const Link& nearest = evidence->links.front();
+    const int from_features = evidence_[*IndexOf(nearest.from)].features.size();
+    return StartChain(
+        tracked, WhyNoLink(nearest, from_features, evidence->features.size(), options_), prior);
+  }
+  if (best == nullptr) {
     return StartChain(
         tracked,
         fmt::format("{} points known from before are seen again from position {}, at least {} are "
                     "needed to carry the scale on",
-                    most_clues, Value(e.position), kMinScaleClues),
+                    sights.points.size(), Value(e.position), kMinScaleClues),
         prior);
   }
   e.chain = chain_id;
@@ -269,6 +346,13 @@ void Tracker::Place(TrackedPosition* tracked, const Evidence& evidence,
     }
   }
   e.metric = chain.metric;
+  if (all_linked || best->support < kMinAdopted) return;
+  std::vector<int> similarities;
+  for (std::size_t i = 0; i < sights.points.size(); ++i) {
+    if (agrees(best->pose, sights.points[i])) similarities.push_back(sights.similarities[i]);
+  }
+  std::sort(similarities.begin(), similarities.end());
+  Adopt(tracked, evidence, similarities[similarities.size() / 20]);
 }
 
 // Adjusts the window's positions of one chain together, and takes stock of distances.
@@ -437,12 +521,14 @@ void Tracker::DropOldest() {
 
 void Tracker::Push(PositionId position, const Measurement& measurement,
                    std::optional<double> odometer_m, const std::optional<Pose>& prior) {
+  evidence_.resize(size());  // restored, but not rewarmed to the end
   while (size() >= static_cast<std::size_t>(options_.window)) DropOldest();
   TrackedPosition tracked;
   tracked.estimate.position = position;
   if (odometer_m && std::isfinite(*odometer_m)) tracked.odometer_m = odometer_m;
   evidence_.push_back(Observe(size(), position, measurement));
-  Place(&tracked, evidence_.back(), prior);
+  Place(&tracked, &evidence_.back(), prior);
+  for (Link& link : evidence_.back().links) link.unexplained = {};
   state_.window.push_back(std::move(tracked));
 
   // A position has a baseline when any of its links in the window has, or when it has none at all.
@@ -476,8 +562,17 @@ Status Tracker::RestoreState(const std::string& json) {
 }
 
 void Tracker::Rewarm(PositionId position, const Measurement& measurement) {
-  if (evidence_.size() >= size()) return;
-  evidence_.push_back(Observe(evidence_.size(), position, measurement));
+  const auto index = IndexOf(position);
+  if (!index || *index < evidence_.size()) return;
+  evidence_.resize(*index);  // one left out shows nothing
+  evidence_.push_back(Observe(*index, position, measurement));
+  Evidence& evidence = evidence_.back();
+  for (const AdoptedPairs& adopted : state_.window[*index].adopted) {
+    if (const auto from = IndexOf(adopted.from); from && *from < *index) {
+      AdoptPairs(adopted, evidence_[*from].features.size(), &evidence);
+    }
+  }
+  for (Link& link : evidence.links) link.unexplained = {};
 }
 
 }  // namespace

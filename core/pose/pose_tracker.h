@@ -63,7 +63,8 @@ class PoseTracker {
   // if it had never stopped: later results are identical to the last bit.
   virtual std::string SaveState() const = 0;
   virtual Status RestoreState(const std::string& json) = 0;
-  // After RestoreState: rebuilds what is not in the JSON (features) for one window position.
+  // After RestoreState: rebuilds what is not in the JSON (features) for one window position. One
+  // that is left out (its pixels are gone) counts as a picture that shows nothing.
   virtual void Rewarm(PositionId position, const Measurement& measurement) = 0;
 };
 

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <optional>
 
+#include "core/pose/random.h"
+
 namespace omnihdr {
 namespace {
 
@@ -19,23 +21,6 @@ constexpr double kRotationNoise = 1.6;
 constexpr double kMedianOfRayleigh = 1.1774;
 constexpr int kFirstLook = 128;  // pairs a hypothesis is tried on before all
 
-// splitmix64 (Steele, Lea and Flood 2014): the same numbers on every machine.
-class Random {
- public:
-  explicit Random(std::uint64_t seed) : state_(seed) {}
-  int Below(int count) {
-    state_ += 0x9e3779b97f4a7c15ULL;
-    std::uint64_t z = state_;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ULL;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebULL;
-    z ^= z >> 31;
-    return static_cast<int>(((z >> 32) * static_cast<std::uint64_t>(count)) >> 32);
-  }
-
- private:
-  std::uint64_t state_;
-};
-
 Matrix3d Skew(const Vector3d& v) {
   Matrix3d m;
   m << 0.0, -v.z(), v.y(), v.z(), 0.0, -v.x(), -v.y(), v.x(), 0.0;
@@ -45,7 +30,7 @@ Matrix3d Skew(const Vector3d& v) {
 // The pairs as columns of floats, for scoring, in a shuffled order so that the first look is fair.
 struct Columns {
   std::vector<float> ax, ay, az, bx, by, bz;
-  explicit Columns(const std::vector<RayPair>& pairs, Random& random) {
+  explicit Columns(const std::vector<RayPair>& pairs, SplitMix& random) {
     std::vector<int> order(pairs.size());
     for (std::size_t i = 0; i < order.size(); ++i) order[i] = static_cast<int>(i);
     for (int i = static_cast<int>(order.size()) - 1; i > 0; --i) {
@@ -356,7 +341,7 @@ RelativePose EstimateRelativePose(const std::vector<RayPair>& pairs, std::uint64
                                   const RelativePoseOptions& options) {
   const int count = static_cast<int>(pairs.size());
   if (count < std::max(options.min_inliers, kSample)) return {};
-  Random random(seed);
+  SplitMix random(seed);
   const Columns columns(pairs, random);
   const double threshold = options.threshold_rad;
 

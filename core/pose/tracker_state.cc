@@ -27,6 +27,9 @@ Json PositionToJson(const TrackedPosition& tracked) {
                {"max_inverse_distance", e.max_inverse_distance}};
   if (!e.chain_reason.empty()) json["chain_reason"] = e.chain_reason;
   if (tracked.odometer_m) json["odometer_m"] = *tracked.odometer_m;
+  for (const AdoptedPairs& adopted : tracked.adopted) {
+    json["adopted"].push_back({{"from", Value(adopted.from)}, {"features", adopted.features}});
+  }
   return json;
 }
 
@@ -46,6 +49,12 @@ TrackedPosition PositionFromJson(const Json& json) {
   e.max_inverse_distance = json.at("max_inverse_distance").get<double>();
   tracked.given = json.at("given").get<bool>();
   if (json.contains("odometer_m")) tracked.odometer_m = json.at("odometer_m").get<double>();
+  if (json.contains("adopted")) {
+    for (const Json& entry : json.at("adopted")) {
+      tracked.adopted.push_back({PositionId{entry.at("from").get<std::int64_t>()},
+                                 entry.at("features").get<std::vector<std::pair<int, int>>>()});
+    }
+  }
   return tracked;
 }
 

@@ -3,6 +3,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/result.h"
@@ -10,12 +11,20 @@
 
 namespace omnihdr {
 
+// Pairs of features found with the help of poses, where the pictures alone gave no motion: they do
+// not follow from the pictures, so they are remembered.
+struct AdoptedPairs {
+  PositionId from{};
+  std::vector<std::pair<int, int>> features;  // (of `from`, of this position)
+};
+
 // What the tracker remembers of a position besides its features and links, which follow from its
 // pixels.
 struct TrackedPosition {
   PoseEstimate estimate;
   std::optional<double> odometer_m;
   bool given = false;  // the pose came from elsewhere and stays
+  std::vector<AdoptedPairs> adopted;
 };
 
 // What positions of one chain have in common.

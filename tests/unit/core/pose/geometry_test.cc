@@ -7,6 +7,7 @@
 
 #include "core/pose/bundle_adjustment.h"
 #include "core/pose/relative_pose.h"
+#include "core/pose/resection.h"
 #include "core/pose/scale.h"
 #include "core/pose/tracks.h"
 
@@ -129,6 +130,43 @@ TEST(RelativePose, TheSameSeedGivesTheSameBits) {
   EXPECT_EQ(a.b_from_a.rotation.coeffs(), b.b_from_a.rotation.coeffs());
   EXPECT_EQ(a.b_from_a.translation, b.b_from_a.translation);
   EXPECT_EQ(a.inliers, b.inliers);
+}
+
+TEST(Resection, FindsTheCameraAmongKnownPointsThoughMostPairsAreWrong) {
+  for (std::uint32_t seed = 1; seed <= 20; ++seed) {
+    World world(seed);
+    const Pose truth = world.Motion(world.Uniform(0.0, 170.0), 2.0);
+    std::vector<PointSight> sights;
+    for (int i = 0; i < 60; ++i) {
+      const Vector3d p = world.Point();
+      BundlePoint point;
+      point.reference = 0.3 * world.Direction();
+      point.direction = (p - point.reference).normalized();
+      point.inverse_distance = 1.0 / (p - point.reference).norm();
+      const Vector3d ray = i % 4 == 0 ? truth.CameraFromWorld(p) : world.Direction();
+      sights.push_back({point, world.Noisy(ray, 5e-4)});
+    }
+    const auto found = EstimatePoseFromPoints(sights, seed, {});
+    ASSERT_TRUE(found.has_value()) << seed;
+    EXPECT_GE(found->inliers.size(), 13U);
+    EXPECT_LT(found->world_from_camera.rotation.angularDistance(truth.rotation) / kDegree, 0.1);
+    EXPECT_LT((found->world_from_camera.translation - truth.translation).norm(), 0.01);
+  }
+}
+
+TEST(Resection, WrongPairsAndTooFewGiveNoPose) {
+  World world(50);
+  std::vector<PointSight> sights;
+  for (int i = 0; i < 300; ++i) {
+    BundlePoint point;
+    point.direction = world.Direction();
+    point.inverse_distance = world.Uniform(0.1, 0.7);
+    sights.push_back({point, world.Direction()});
+  }
+  EXPECT_FALSE(EstimatePoseFromPoints(sights, 1, {}).has_value());
+  sights.resize(9);
+  EXPECT_FALSE(EstimatePoseFromPoints(sights, 1, {}).has_value());
+  EXPECT_FALSE(EstimatePoseFromPoints({}, 1, {}).has_value());
 }
 
 TEST(Scale, KnownPointsGiveTheLengthOfTheNextBaselineDespiteOutliers) {

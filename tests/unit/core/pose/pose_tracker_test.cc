@@ -34,9 +34,9 @@ Pose PathPose(int i) {
   return pose;
 }
 
-// The room from a pose, in the i-th exposure of a saw tooth of three, 1.6 stops apart.
-Measurement See(const Pose& pose, int i, std::uint32_t room_seed = 1) {
-  const double exposure_s = 0.12 * std::exp2(1.6 * (i % 3 - 1));
+// The room from a pose, in the i-th exposure of a saw tooth of three.
+Measurement See(const Pose& pose, int i, std::uint32_t room_seed = 1, double stops = 1.6) {
+  const double exposure_s = 0.12 * std::exp2(stops * (i % 3 - 1));
   return test::Expose(test::Room(room_seed).Render(pose, SmallProjection()), SmallProjection(),
                       exposure_s, 100 + static_cast<std::uint32_t>(i));
 }
@@ -175,6 +175,47 @@ TEST(PoseTracker, SavedRestoredAndRewarmedItContinuesToTheLastBit) {
     }
     EXPECT_EQ(second->SaveState(), whole->SaveState()) << odometer;
   }
+}
+
+TEST(PoseTracker, GoesOnWhenSomeOfTheWindowCannotBeRewarmed) {
+  const auto first = MakeTracker();
+  for (int i = 0; i < 4; ++i) {
+    first->Push(PositionId{i}, See(PathPose(i), i), std::nullopt, std::nullopt);
+  }
+  for (const std::vector<int>& rewarmed : {std::vector<int>{}, {3}, {0, 2}, {1, 1, 9}}) {
+    const auto second = MakeTracker();
+    ASSERT_TRUE(second->RestoreState(first->SaveState()));
+    for (const int i : rewarmed) second->Rewarm(PositionId{i}, See(PathPose(i), i));
+    second->Push(PositionId{4}, See(PathPose(4), 4), std::nullopt, std::nullopt);
+    EXPECT_EQ(second->Window().size(), 5U);
+  }
+}
+
+TEST(PoseTracker, PairsThatOnlyPosesLedToAreRememberedAcrossARestart) {
+  // Seven stops between neighbours: hardly a link from picture to picture.
+  std::vector<Measurement> seen;
+  for (int i = 0; i < 8; ++i) seen.push_back(See(PathPose(i), i, 1, 3.5));
+  const auto whole = MakeTracker();
+  const auto first = MakeTracker();
+  const auto second = MakeTracker();
+  for (int i = 0; i < 8; ++i) {
+    whole->Push(PositionId{i}, seen[static_cast<std::size_t>(i)], Travelled(i), std::nullopt);
+    if (i < 7)
+      first->Push(PositionId{i}, seen[static_cast<std::size_t>(i)], Travelled(i), std::nullopt);
+  }
+  ASSERT_THAT(first->SaveState(), HasSubstr("\"adopted\""));
+  ASSERT_TRUE(second->RestoreState(first->SaveState()));
+  for (const PoseEstimate& e : second->Window()) {
+    second->Rewarm(e.position, seen[static_cast<std::size_t>(Value(e.position))]);
+  }
+  second->Push(PositionId{7}, seen[7], Travelled(7), std::nullopt);
+  EXPECT_EQ(second->SaveState(), whole->SaveState());
+  std::vector<PoseEstimate> main_chain;
+  for (const PoseEstimate& e : whole->Window()) {
+    if (e.chain == 0) main_chain.push_back(e);
+  }
+  EXPECT_GE(main_chain.size(), 5U);
+  EXPECT_LT(Compare(main_chain, 1.0).translation_share, 0.03);
 }
 
 TEST(PoseTracker, ATurnOnTheSpotKeepsTheTranslationAndTheChainGetsItsScaleLater) {
