@@ -11,6 +11,7 @@
 
 #include "daemon/app.h"
 #include "daemon/config.h"
+#include "daemon/event_loop.h"
 #include "daemon/logging.h"
 #include "daemon/parts.h"
 #include "daemon/session_choice.h"
@@ -26,6 +27,8 @@ struct Arguments {
 };
 
 Status Main(const Arguments& arguments) {
+  // First of all: a signal during the start must end in an orderly stop too.
+  if (!arguments.check) OMNIHDR_TRY(BlockSignals());
   OMNIHDR_ASSIGN(DaemonConfig config,
                  ConfigOrError(LoadConfig(arguments.config, arguments.config_given)));
   OMNIHDR_TRY(CheckParts(config));
@@ -34,7 +37,6 @@ Status Main(const Arguments& arguments) {
     return {};
   }
   InitLogging(config.log.level);
-  OMNIHDR_TRY(BlockSignals());
   OMNIHDR_ASSIGN(SessionChoice choice,
                  ChooseSession(config.session, arguments.session, SystemClock().NowUtc()));
   App app(config, std::move(choice),
