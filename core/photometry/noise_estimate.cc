@@ -11,9 +11,6 @@ constexpr int kBlock = 8;
 constexpr double kDarkest = 1.0;   // of a block's mean above black: below, clipping at black hides noise
 constexpr double kBrightest = 10.0;
 constexpr std::size_t kLeastBlocks = 100;
-// The lower quartile of the mean of 36 squared residuals against its expectation (their neighbours share
-// pixels: about a dozen degrees of freedom).
-constexpr double kQuartileOfVariance = 0.80;
 constexpr double kLeastReadNoise = 0.1;
 
 template <typename T>
@@ -40,7 +37,7 @@ double Estimate(const Image<T>& image, double scale, double black, const NoiseMo
       const double mean = sum * scale / count - black;
       if (mean < kDarkest || mean > kBrightest) continue;
       const double variance = squares * scale * scale / (36.0 * count);
-      read_variance.push_back(variance / kQuartileOfVariance - model.gain * mean - 1.0 / 12.0);
+      read_variance.push_back(variance - model.gain * mean - 1.0 / 12.0);
     }
   }
   if (read_variance.size() < kLeastBlocks) return kTypicalReadNoise;

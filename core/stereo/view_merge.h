@@ -27,7 +27,7 @@ struct MergeSource {
 struct MergeOptions {
   float misalignment_px = 0.35F;      // expected registration error of a trusted disparity, in pixels
   float distrusted_px = 1.2F;         // of one with confidence 0
-  float model_error = 0.03F;          // relative error every sample has besides noise
+  float model_error = 0.12F;          // relative error of another view besides noise: gloss, focus, ...
   float consistency_log10 = 0.03F;    // log10 disagreement with the own view, beyond noise and
                                       // misregistration, at which a sample counts half
   float block_error = 0.02F;          // relative error of a block's mean that still counts as agreement
