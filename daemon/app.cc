@@ -855,7 +855,7 @@ ApiReply App::ArmNow() {
 
 ApiReply App::Arm() {
   return OnLoop([this] {
-    const ApiReply reply = ArmNow();
+    ApiReply reply = ArmNow();
     if (reply.http_status == 200) spdlog::info("armed");
     return reply;
   });

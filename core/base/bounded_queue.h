@@ -52,8 +52,8 @@ class BoundedQueue {
   PushResult Push(T item, std::chrono::nanoseconds timeout) {
     {
       std::unique_lock lock(mutex_);
-      const bool room = not_full_.wait_for(
-          lock, timeout, [this] { return closed_ || items_.size() < capacity_; });
+      const bool room = not_full_.wait_for(lock, timeout,
+                                           [this] { return closed_ || items_.size() < capacity_; });
       if (closed_) return PushResult::kClosed;
       if (!room) {
         ++dropped_;

@@ -13,11 +13,14 @@ ErrorKind KindOfErrno(int error_number, ErrorKind otherwise) {
   switch (error_number) {
     case ENOENT:
     case ENOTDIR:
-    case EISDIR: return ErrorKind::kNoInput;
+    case EISDIR:
+      return ErrorKind::kNoInput;
     case EACCES:
     case EPERM:
-    case EROFS: return ErrorKind::kPermission;
-    default: return otherwise;
+    case EROFS:
+      return ErrorKind::kPermission;
+    default:
+      return otherwise;
   }
 }
 

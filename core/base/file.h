@@ -47,7 +47,8 @@ Result<std::string> ReadTextFile(const std::filesystem::path& path,
 Status WriteAll(int fd, std::span<const std::byte> bytes, std::string_view name);
 
 // Writes a new file beside `path` under a temporary name, syncs it, renames it over `path`, and
-// syncs the directory: after a power cut the path holds the old content or the new, never a mixture.
+// syncs the directory: after a power cut the path holds the old content or the new, never a
+// mixture.
 Status WriteFileAtomic(const std::filesystem::path& path, std::span<const std::byte> bytes);
 Status WriteFileAtomic(const std::filesystem::path& path, std::string_view text);
 

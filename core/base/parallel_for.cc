@@ -17,10 +17,9 @@ std::unique_ptr<tbb::global_control> g_limit;
 
 void ParallelFor(int count, int grain, const std::function<void(int, int)>& body) {
   if (count <= 0) return;
-  tbb::parallel_for(tbb::blocked_range<int>(0, count, grain < 1 ? 1 : grain),
-                    [&body](const tbb::blocked_range<int>& range) {
-                      body(range.begin(), range.end());
-                    });
+  tbb::parallel_for(
+      tbb::blocked_range<int>(0, count, grain < 1 ? 1 : grain),
+      [&body](const tbb::blocked_range<int>& range) { body(range.begin(), range.end()); });
 }
 
 void SetWorkerCount(int workers) {

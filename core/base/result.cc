@@ -6,18 +6,30 @@ namespace omnihdr {
 
 int ExitCode(ErrorKind kind) {
   switch (kind) {
-    case ErrorKind::kUsage: return 64;
-    case ErrorKind::kData: return 65;
-    case ErrorKind::kNoInput: return 66;
-    case ErrorKind::kUnavailable: return 69;
-    case ErrorKind::kSoftware: return 70;
-    case ErrorKind::kSystem: return 71;
-    case ErrorKind::kCannotCreate: return 73;
-    case ErrorKind::kIo: return 74;
-    case ErrorKind::kTemporary: return 75;
-    case ErrorKind::kProtocol: return 76;
-    case ErrorKind::kPermission: return 77;
-    case ErrorKind::kConfig: return 78;
+    case ErrorKind::kUsage:
+      return 64;
+    case ErrorKind::kData:
+      return 65;
+    case ErrorKind::kNoInput:
+      return 66;
+    case ErrorKind::kUnavailable:
+      return 69;
+    case ErrorKind::kSoftware:
+      return 70;
+    case ErrorKind::kSystem:
+      return 71;
+    case ErrorKind::kCannotCreate:
+      return 73;
+    case ErrorKind::kIo:
+      return 74;
+    case ErrorKind::kTemporary:
+      return 75;
+    case ErrorKind::kProtocol:
+      return 76;
+    case ErrorKind::kPermission:
+      return 77;
+    case ErrorKind::kConfig:
+      return 78;
   }
   return 70;
 }

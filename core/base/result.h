@@ -11,18 +11,18 @@ namespace omnihdr {
 
 // What kind of failure this is; decides the process's exit code (sysexits.h).
 enum class ErrorKind {
-  kUsage,          // EX_USAGE 64: the command line is wrong
-  kData,           // EX_DATAERR 65: a file's content is wrong
-  kNoInput,        // EX_NOINPUT 66: an input file is missing or unreadable
-  kUnavailable,    // EX_UNAVAILABLE 69: a device or service is not there
-  kSoftware,       // EX_SOFTWARE 70: our own fault
-  kSystem,         // EX_OSERR 71: the operating system refused
-  kCannotCreate,   // EX_CANTCREAT 73: an output file cannot be created
-  kIo,             // EX_IOERR 74: reading or writing failed half-way (disk full, ...)
-  kTemporary,      // EX_TEMPFAIL 75: try again (deadline passed, busy)
-  kProtocol,       // EX_PROTOCOL 76: the other side broke the protocol
-  kPermission,     // EX_NOPERM 77
-  kConfig,         // EX_CONFIG 78: a configuration file or key is wrong
+  kUsage,         // EX_USAGE 64: the command line is wrong
+  kData,          // EX_DATAERR 65: a file's content is wrong
+  kNoInput,       // EX_NOINPUT 66: an input file is missing or unreadable
+  kUnavailable,   // EX_UNAVAILABLE 69: a device or service is not there
+  kSoftware,      // EX_SOFTWARE 70: our own fault
+  kSystem,        // EX_OSERR 71: the operating system refused
+  kCannotCreate,  // EX_CANTCREAT 73: an output file cannot be created
+  kIo,            // EX_IOERR 74: reading or writing failed half-way (disk full, ...)
+  kTemporary,     // EX_TEMPFAIL 75: try again (deadline passed, busy)
+  kProtocol,      // EX_PROTOCOL 76: the other side broke the protocol
+  kPermission,    // EX_NOPERM 77
+  kConfig,        // EX_CONFIG 78: a configuration file or key is wrong
 };
 
 // The sysexits.h code for a kind of failure.
@@ -73,21 +73,21 @@ tl::unexpected<Error> FailErrno(ErrorKind kind, std::string_view what, int error
 }  // namespace omnihdr
 
 // Returns from the enclosing function with the error of a Status / Result expression.
-#define OMNIHDR_TRY(expression)                                                      \
-  do {                                                                               \
-    if (auto omnihdr_status = (expression); !omnihdr_status) {                       \
-      return ::tl::unexpected<::omnihdr::Error>(std::move(omnihdr_status).error());  \
-    }                                                                                \
+#define OMNIHDR_TRY(expression)                                                     \
+  do {                                                                              \
+    if (auto omnihdr_status = (expression); !omnihdr_status) {                      \
+      return ::tl::unexpected<::omnihdr::Error>(std::move(omnihdr_status).error()); \
+    }                                                                               \
   } while (false)
 
 // `OMNIHDR_ASSIGN(auto value, Function());` declares value or returns the error.
 #define OMNIHDR_ASSIGN(declaration, expression) \
   OMNIHDR_ASSIGN_IMPL(OMNIHDR_CONCAT(omnihdr_result_, __LINE__), declaration, expression)
-#define OMNIHDR_ASSIGN_IMPL(result, declaration, expression)                 \
-  auto result = (expression);                                                \
-  if (!result) {                                                             \
-    return ::tl::unexpected<::omnihdr::Error>(std::move(result).error());    \
-  }                                                                          \
+#define OMNIHDR_ASSIGN_IMPL(result, declaration, expression)              \
+  auto result = (expression);                                             \
+  if (!result) {                                                          \
+    return ::tl::unexpected<::omnihdr::Error>(std::move(result).error()); \
+  }                                                                       \
   declaration = std::move(*result)
 #define OMNIHDR_CONCAT(a, b) OMNIHDR_CONCAT_IMPL(a, b)
 #define OMNIHDR_CONCAT_IMPL(a, b) a##b

@@ -22,9 +22,7 @@ class ExposureTime {
   bool IsValid() const { return std::isfinite(seconds_) && seconds_ > 0.0; }
   ExposureTime operator+(Stops stops) const { return Seconds(seconds_ * std::exp2(stops.value)); }
   // Stops from `other` to this: positive when this one is longer.
-  Stops operator-(ExposureTime other) const {
-    return Stops{std::log2(seconds_ / other.seconds_)};
-  }
+  Stops operator-(ExposureTime other) const { return Stops{std::log2(seconds_ / other.seconds_)}; }
   constexpr auto operator<=>(const ExposureTime&) const = default;
 
  private:

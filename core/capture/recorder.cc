@@ -73,7 +73,7 @@ Recorder::Turn Recorder::Step(FrameStore& store, Nanoseconds timeout) {
     held_.emplace();
     held_->line = std::move(*line);
     FrameRecord& record = held_->line.record;
-    const auto encoded = std::visit(
+    auto encoded = std::visit(
         [&](const auto& image) -> Result<std::vector<std::byte>> {
           if constexpr (std::is_same_v<std::remove_cvref_t<decltype(image)>, std::monostate>) {
             return std::vector<std::byte>();

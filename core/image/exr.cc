@@ -27,10 +27,14 @@ constexpr std::size_t kMaxExrValues = 4 * kMaxImagePixels;  // over all channels
 
 Imf::Compression ToImf(ExrCompression compression) {
   switch (compression) {
-    case ExrCompression::kNone: return Imf::NO_COMPRESSION;
-    case ExrCompression::kZips: return Imf::ZIPS_COMPRESSION;
-    case ExrCompression::kZip: return Imf::ZIP_COMPRESSION;
-    case ExrCompression::kPiz: return Imf::PIZ_COMPRESSION;
+    case ExrCompression::kNone:
+      return Imf::NO_COMPRESSION;
+    case ExrCompression::kZips:
+      return Imf::ZIPS_COMPRESSION;
+    case ExrCompression::kZip:
+      return Imf::ZIP_COMPRESSION;
+    case ExrCompression::kPiz:
+      return Imf::PIZ_COMPRESSION;
   }
   return Imf::ZIPS_COMPRESSION;
 }
@@ -75,8 +79,9 @@ Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>
             std::uint16_t* out = halves[k].row(y);
             for (int x = 0; x < width; ++x) {
               const float value = channel.pixels.at(x, y, channel.channel);
-              out[x] = half(std::isnan(value) ? value : std::clamp(value, -kLargestHalf, kLargestHalf))
-                           .bits();
+              out[x] =
+                  half(std::isnan(value) ? value : std::clamp(value, -kLargestHalf, kLargestHalf))
+                      .bits();
             }
           }
         });
@@ -138,10 +143,11 @@ Result<ExrImage> ReadExr(const std::filesystem::path& path) {
       }
       Image<float>& pixels =
           image.channels.emplace(it.name(), Image<float>(image.width, image.height)).first->second;
-      const std::ptrdiff_t offset = static_cast<std::ptrdiff_t>(window.min.y) * width + window.min.x;
-      frame_buffer.insert(it.name(),
-                          Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(pixels.data() - offset),
-                                     sizeof(float), sizeof(float) * static_cast<std::size_t>(width)));
+      const std::ptrdiff_t offset =
+          static_cast<std::ptrdiff_t>(window.min.y) * width + window.min.x;
+      frame_buffer.insert(
+          it.name(), Imf::Slice(Imf::FLOAT, reinterpret_cast<char*>(pixels.data() - offset),
+                                sizeof(float), sizeof(float) * static_cast<std::size_t>(width)));
     }
     file.setFrameBuffer(frame_buffer);
     file.readPixels(window.min.y, window.max.y);

@@ -16,7 +16,8 @@ enum class ExrPixelType { kHalf, kFloat };
 // One named channel of an EXR file: a single-channel view and how it is stored.
 struct ExrChannel {
   std::string name;
-  ImageView<const float> pixels;  // channel 0 of the view is written; its other channels are skipped
+  ImageView<const float>
+      pixels;  // channel 0 of the view is written; its other channels are skipped
   ExrPixelType type = ExrPixelType::kHalf;
   int channel = 0;  // which interleaved channel of `pixels`
 };
@@ -30,10 +31,11 @@ struct ExrAttributes {
 // Writes `path` in place, not atomically and not synced: the view writer does both for a directory.
 // Values that overflow half (> 65504) are an error of the caller and are clamped; NaN is kept.
 Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>& channels,
-                const ExrAttributes& attributes, ExrCompression compression = ExrCompression::kZips);
+                const ExrAttributes& attributes,
+                ExrCompression compression = ExrCompression::kZips);
 
-// All channels of a scan-line or tiled EXR as float. The file is untrusted: sizes are checked before
-// anything is allocated, and every failure is an error naming the path.
+// All channels of a scan-line or tiled EXR as float. The file is untrusted: sizes are checked
+// before anything is allocated, and every failure is an error naming the path.
 struct ExrImage {
   int width = 0;
   int height = 0;

@@ -22,8 +22,7 @@ class ImageView {
       : data_(data), width_(width), height_(height), channels_(channels), stride_(stride) {}
   // A view of mutable pixels is a view of constant ones.
   operator ImageView<const T>() const  // NOLINT(google-explicit-constructor)
-    requires(!std::is_const_v<T>)
-  {
+      requires(!std::is_const_v<T>) {
     return {data_, width_, height_, channels_, stride_};
   }
 
@@ -63,7 +62,7 @@ class Image {
   Image(int width, int height, int channels, T value)
       : width_(width), height_(height), channels_(channels) {
     assert(width >= 0 && height >= 0 && channels >= 0);
-    data_.reset(static_cast<T*>(::operator new(sizeof(T) * size(), std::align_val_t{64})));
+    data_.reset(static_cast<T*>(::operator new (sizeof(T) * size(), std::align_val_t{64})));
     std::fill_n(data_.get(), size(), value);
   }
   Image(Image&& other) noexcept { *this = std::move(other); }
@@ -96,9 +95,7 @@ class Image {
   T* row(int y) { return data_.get() + y * stride(); }
   const T* row(int y) const { return data_.get() + y * stride(); }
   T* pixel(int x, int y) { return row(y) + static_cast<std::ptrdiff_t>(x) * channels_; }
-  const T* pixel(int x, int y) const {
-    return row(y) + static_cast<std::ptrdiff_t>(x) * channels_;
-  }
+  const T* pixel(int x, int y) const { return row(y) + static_cast<std::ptrdiff_t>(x) * channels_; }
   T& at(int x, int y, int c = 0) { return view().at(x, y, c); }
   const T& at(int x, int y, int c = 0) const { return view().at(x, y, c); }
   ImageView<T> view() { return {data_.get(), width_, height_, channels_, stride()}; }
@@ -107,7 +104,7 @@ class Image {
 
  private:
   struct Free {
-    void operator()(T* p) const { ::operator delete(p, std::align_val_t{64}); }
+    void operator()(T* p) const { ::operator delete (p, std::align_val_t{64}); }
   };
   std::ptrdiff_t stride() const { return static_cast<std::ptrdiff_t>(width_) * channels_; }
 

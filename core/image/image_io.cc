@@ -52,8 +52,8 @@ std::optional<Size> JpegSize(Bytes b) {
       ++o;
       continue;
     }
-    const bool is_frame = marker >= 0xC0 && marker <= 0xCF && marker != 0xC4 && marker != 0xC8 &&
-                          marker != 0xCC;
+    const bool is_frame =
+        marker >= 0xC0 && marker <= 0xCF && marker != 0xC4 && marker != 0xC8 && marker != 0xCC;
     if (is_frame) return Size{BigEndian16(b, o + 7), BigEndian16(b, o + 5)};
     o += 2 + BigEndian16(b, o + 2);
   }
@@ -107,9 +107,10 @@ template <typename T>
 cv::Mat ToBgrMat(ImageView<const T> image) {
   const int depth = sizeof(T) == 1 ? CV_8U : CV_16U;
   // OpenCV has no type for constant pixels; the header is only read from.
-  const cv::Mat source(image.height(), image.width(), CV_MAKETYPE(depth, image.channels()),
-                       const_cast<T*>(image.row(0)),  // NOLINT(cppcoreguidelines-pro-type-const-cast)
-                       static_cast<std::size_t>(image.stride()) * sizeof(T));
+  const cv::Mat source(
+      image.height(), image.width(), CV_MAKETYPE(depth, image.channels()),
+      const_cast<T*>(image.row(0)),  // NOLINT(cppcoreguidelines-pro-type-const-cast)
+      static_cast<std::size_t>(image.stride()) * sizeof(T));
   cv::Mat bgr;
   if (image.channels() == 3) {
     cv::cvtColor(source, bgr, cv::COLOR_RGB2BGR);
@@ -194,9 +195,15 @@ Result<DecodedImage> DecodeImage(std::span<const std::byte> bytes, const std::st
   if (!type) return Fail(ErrorKind::kData, "{}: not a PNG, JPEG or TIFF file", name);
   std::optional<Size> size;
   switch (*type) {
-    case FileType::kPng: size = Size{BigEndian32(bytes, 16), BigEndian32(bytes, 20)}; break;
-    case FileType::kJpeg: size = JpegSize(bytes); break;
-    case FileType::kTiff: size = TiffSize(bytes); break;
+    case FileType::kPng:
+      size = Size{BigEndian32(bytes, 16), BigEndian32(bytes, 20)};
+      break;
+    case FileType::kJpeg:
+      size = JpegSize(bytes);
+      break;
+    case FileType::kTiff:
+      size = TiffSize(bytes);
+      break;
   }
   if (!size || size->width == 0 || size->height == 0) {
     return Fail(ErrorKind::kData, "{}: damaged header, no image size found", name);
@@ -212,8 +219,8 @@ Result<DecodedImage> DecodeImage(std::span<const std::byte> bytes, const std::st
     // OpenCV has no type for constant input; imdecode only reads it.
     const cv::Mat buffer(1, static_cast<int>(bytes.size()), CV_8U,
                          const_cast<std::byte*>(bytes.data()));  // NOLINT
-    const cv::Mat mat = cv::imdecode(buffer, cv::IMREAD_ANYDEPTH | cv::IMREAD_ANYCOLOR |
-                                                 cv::IMREAD_IGNORE_ORIENTATION);
+    const cv::Mat mat = cv::imdecode(
+        buffer, cv::IMREAD_ANYDEPTH | cv::IMREAD_ANYCOLOR | cv::IMREAD_IGNORE_ORIENTATION);
     if (mat.empty()) return Fail(ErrorKind::kData, "{}: damaged or truncated image file", name);
     if (mat.channels() != 1 && mat.channels() != 3) {
       return Fail(ErrorKind::kData, "{}: {} channels, expected 1 or 3", name, mat.channels());

@@ -22,7 +22,7 @@ struct PreparedFrame {
   double value_scale = 1.0;  // file value to 8-bit units
   // Lookup for 8-bit frames, and for 16-bit ones with up to 16 bits of values.
   std::array<std::vector<float>, 3> exposure_of_value;
-  std::uint32_t low = 0;   // usable file values: low..high
+  std::uint32_t low = 0;  // usable file values: low..high
   std::uint32_t high = 0;
 };
 
@@ -39,8 +39,8 @@ PreparedFrame Prepare(const ExposedFrame& frame, const Response& response, int b
     std::vector<float>& table = p.exposure_of_value[static_cast<std::size_t>(c)];
     table.resize(values);
     for (std::size_t z = 0; z < values; ++z) {
-      table[z] = static_cast<float>(
-          response.ExposureFromValue(c, static_cast<double>(z) * p.value_scale));
+      table[z] =
+          static_cast<float>(response.ExposureFromValue(c, static_cast<double>(z) * p.value_scale));
     }
   }
   // A value of 0 stands for light between nothing and half a step above: a quarter, never "none".
@@ -54,7 +54,8 @@ PreparedFrame Prepare(const ExposedFrame& frame, const Response& response, int b
   return p;
 }
 
-// One pixel's file values; grey pictures count as R = G = B. Values beyond the declared bits are clipped.
+// One pixel's file values; grey pictures count as R = G = B. Values beyond the declared bits are
+// clipped.
 struct Values {
   std::array<std::uint32_t, 3> z{};
 };
@@ -102,9 +103,8 @@ class PixelMerger {
     for (std::size_t k = 0; k < count; ++k) {
       const PreparedFrame& frame = frames_[k];
       const auto largest = static_cast<std::uint32_t>(frame.exposure_of_value[0].size() - 1);
-      values[k] = std::visit(
-          [&](const auto& image) { return ReadValues(image, x, y, largest); },
-          frame.image->pixels);
+      values[k] = std::visit([&](const auto& image) { return ReadValues(image, x, y, largest); },
+                             frame.image->pixels);
       for (const std::uint32_t z : values[k].z) bright[k] = bright[k] || z > frame.high;
       any_unsaturated = any_unsaturated || !bright[k];
     }
@@ -117,8 +117,8 @@ class PixelMerger {
         if (z < frame.low) flags = static_cast<std::uint8_t>(flags | kDarkBit[c]);
         continue;
       }
-      // First the total of the light over the total of the time (Hanji et al. 2020), then that signal's
-      // variance in each frame for the weights.
+      // First the total of the light over the total of the time (Hanji et al. 2020), then that
+      // signal's variance in each frame for the weights.
       float light = 0.0F;
       float time = 0.0F;
       for (std::size_t k = 0; k < count; ++k) {
@@ -148,8 +148,8 @@ class PixelMerger {
         const float variance =
             read_variance_[c] + shot_[c] * x_signal + prnu_ * x_signal * x_signal;
         const float weight = frames_[k].seconds * frames_[k].seconds / variance;
-        sum += weight * frames_[k].exposure_of_value[c][values[k].z[c]] *
-               frames_[k].inverse_seconds;
+        sum +=
+            weight * frames_[k].exposure_of_value[c][values[k].z[c]] * frames_[k].inverse_seconds;
         weight_sum += weight;
       }
       out[c] = sum / weight_sum;
@@ -175,8 +175,8 @@ class PixelMerger {
 }  // namespace
 
 Result<Measurement> Measure(std::span<const ExposedFrame> frames, const Projection& projection,
-                            const Response& response, int bits,
-                            ImageView<const std::uint8_t> mask, const MeasureOptions& options) {
+                            const Response& response, int bits, ImageView<const std::uint8_t> mask,
+                            const MeasureOptions& options) {
   if (frames.empty()) return Fail(ErrorKind::kSoftware, "no frame to measure");
   constexpr std::size_t kMaxFrames = 64;
   if (frames.size() > kMaxFrames) {

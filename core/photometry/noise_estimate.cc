@@ -8,7 +8,8 @@ namespace omnihdr {
 namespace {
 
 constexpr int kBlock = 8;
-constexpr double kDarkest = 1.0;   // of a block's mean above black: below, clipping at black hides noise
+constexpr double kDarkest =
+    1.0;  // of a block's mean above black: below, clipping at black hides noise
 constexpr double kBrightest = 10.0;
 constexpr std::size_t kLeastBlocks = 100;
 constexpr double kLeastReadNoise = 0.1;
@@ -41,7 +42,8 @@ double Estimate(const Image<T>& image, double scale, double black, const NoiseMo
     }
   }
   if (read_variance.size() < kLeastBlocks) return kTypicalReadNoise;
-  const auto quartile = read_variance.begin() + static_cast<std::ptrdiff_t>(read_variance.size() / 4);
+  const auto quartile =
+      read_variance.begin() + static_cast<std::ptrdiff_t>(read_variance.size() / 4);
   std::nth_element(read_variance.begin(), quartile, read_variance.end());
   return std::sqrt(std::max(*quartile, kLeastReadNoise * kLeastReadNoise));
 }

@@ -25,9 +25,10 @@ Result<Response> Response::Linear(double black) {
 Result<Response> Response::LogLinear(const std::array<std::array<double, 2>, 3>& a_b) {
   for (const auto& [a, b] : a_b) {
     if (!std::isfinite(a) || !std::isfinite(b) || a <= 0.0 || a > 10.0 || std::abs(b) > 500.0) {
-      return Fail(ErrorKind::kData,
-                  "response loglinear [{}, {}], expected ln X = a·Z + b with 0 < a <= 10, |b| <= 500",
-                  a, b);
+      return Fail(
+          ErrorKind::kData,
+          "response loglinear [{}, {}], expected ln X = a·Z + b with 0 < a <= 10, |b| <= 500", a,
+          b);
     }
   }
   Response r;
@@ -41,15 +42,16 @@ Result<Response> Response::Table(const std::array<std::vector<double>, 3>& ln_ex
   for (std::size_t c = 0; c < 3; ++c) {
     const std::vector<double>& g = ln_exposure[c];
     if (g.size() != 256) {
-      return Fail(ErrorKind::kData, "response ln_exposure channel {} has {} values, expected 256", c,
-                  g.size());
+      return Fail(ErrorKind::kData, "response ln_exposure channel {} has {} values, expected 256",
+                  c, g.size());
     }
     for (std::size_t z = 0; z < g.size(); ++z) {
       if (!std::isfinite(g[z]) || std::abs(g[z]) > 500.0) {
-        return Fail(ErrorKind::kData,
-                    "response ln_exposure channel {} value {} is {}, expected a finite number within "
-                    "±500",
-                    c, z, g[z]);
+        return Fail(
+            ErrorKind::kData,
+            "response ln_exposure channel {} value {} is {}, expected a finite number within "
+            "±500",
+            c, z, g[z]);
       }
       if (z > 0 && g[z] < g[z - 1]) {
         return Fail(ErrorKind::kData,
@@ -69,7 +71,8 @@ Result<Response> Response::Table(const std::array<std::vector<double>, 3>& ln_ex
 double Response::ExposureFromValue(int channel, double value) const {
   const auto c = static_cast<std::size_t>(channel);
   switch (model_) {
-    case ResponseModel::kLinear: return std::max(0.0, (value - black_) * scale_);
+    case ResponseModel::kLinear:
+      return std::max(0.0, (value - black_) * scale_);
     case ResponseModel::kLogLinear:
       return scale_ * std::exp(loglinear_[c][0] * value + loglinear_[c][1]);
     case ResponseModel::kTable: {
@@ -86,7 +89,8 @@ double Response::ExposureFromValue(int channel, double value) const {
 double Response::ValueFromExposure(int channel, double exposure) const {
   const auto c = static_cast<std::size_t>(channel);
   switch (model_) {
-    case ResponseModel::kLinear: return exposure / scale_ + black_;
+    case ResponseModel::kLinear:
+      return exposure / scale_ + black_;
     case ResponseModel::kLogLinear:
       return (std::log(std::max(exposure / scale_, 1e-300)) - loglinear_[c][1]) / loglinear_[c][0];
     case ResponseModel::kTable: {

@@ -33,8 +33,8 @@ class Response {
   // E·t of a pixel value in 8-bit units; fractional values (16-bit input scaled to 0..255) allowed,
   // interpolated between table entries. Never negative.
   double ExposureFromValue(int channel, double value) const;
-  // Pixel value (8-bit units, not rounded, not clipped above 255 for linear) of E·t: the simulator's
-  // direction.
+  // Pixel value (8-bit units, not rounded, not clipped above 255 for linear) of E·t: the
+  // simulator's direction.
   double ValueFromExposure(int channel, double exposure) const;
   // d(E·t)/dZ at a value: turns pixel noise into radiance noise.
   double Slope(int channel, double value) const;

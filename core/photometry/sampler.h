@@ -17,8 +17,8 @@ struct RadianceSample {
   std::uint8_t flags = kMasked;  // bits of every pixel that took part
 };
 
-// Fast bilinear lookup of a measurement along rays of its camera frame. Borrowed: the measurement must
-// outlive the sampler. Thread-safe.
+// Fast bilinear lookup of a measurement along rays of its camera frame. Borrowed: the measurement
+// must outlive the sampler. Thread-safe.
 class PanoramaSampler {
  public:
   explicit PanoramaSampler(const Measurement& m) : m_(&m) {
@@ -52,7 +52,8 @@ class PanoramaSampler {
   }
 
   // Bilinear; the nearest pixel alone where some of the four are clipped or masked and others not.
-  // Columns wrap round; on a cylinder, outside [0, height] is masked; a lat-long's poles are clamped.
+  // Columns wrap round; on a cylinder, outside [0, height] is masked; a lat-long's poles are
+  // clamped.
   RadianceSample SampleAt(float x, float y) const {
     RadianceSample out;
     if (is_cylinder_ && !(y >= 0.0F && y <= static_cast<float>(height_))) return out;

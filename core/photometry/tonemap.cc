@@ -24,14 +24,15 @@ class SrgbTable {
     if (!(linear > 0.0F)) return 0;
     if (linear >= 1.0F) return 255;
     const float scale = static_cast<float>(fine_.size() - 1);
-    if (linear < 1.0F / 64.0F) return fine_[static_cast<std::size_t>(linear * 64.0F * scale + 0.5F)];
+    if (linear < 1.0F / 64.0F)
+      return fine_[static_cast<std::size_t>(linear * 64.0F * scale + 0.5F)];
     return coarse_[static_cast<std::size_t>(linear * scale + 0.5F)];
   }
 
  private:
   static std::uint8_t Encode(float linear) {
-    const float v = linear <= 0.0031308F ? 12.92F * linear
-                                         : 1.055F * std::pow(linear, 1.0F / 2.4F) - 0.055F;
+    const float v =
+        linear <= 0.0031308F ? 12.92F * linear : 1.055F * std::pow(linear, 1.0F / 2.4F) - 0.055F;
     return static_cast<std::uint8_t>(std::clamp(v * 255.0F + 0.5F, 0.0F, 255.0F));
   }
   std::array<std::uint8_t, 4096> fine_{};
@@ -51,7 +52,8 @@ Image<std::uint8_t> ToneMapReinhard(ImageView<const float> radiance,
                                     const ToneMapOptions& options) {
   const int width = radiance.width();
   const int height = radiance.height();
-  // Log-average and white point from a sample: every pixel adds nothing a 16th of them does not tell.
+  // Log-average and white point from a sample: every pixel adds nothing a 16th of them does not
+  // tell.
   std::vector<float> luminance;
   luminance.reserve(static_cast<std::size_t>(width) * static_cast<std::size_t>(height) / 16 + 1);
   for (int y = 1; y < height; y += 4) {
@@ -67,9 +69,9 @@ Image<std::uint8_t> ToneMapReinhard(ImageView<const float> radiance,
   const auto scale = static_cast<float>(options.key / log_average);
   float white = 1.0F;
   if (!luminance.empty()) {
-    const auto nth = luminance.begin() +
-                     static_cast<std::ptrdiff_t>(options.white_percentile *
-                                                 static_cast<double>(luminance.size() - 1));
+    const auto nth =
+        luminance.begin() + static_cast<std::ptrdiff_t>(options.white_percentile *
+                                                        static_cast<double>(luminance.size() - 1));
     std::nth_element(luminance.begin(), nth, luminance.end());
     white = std::max(scale * *nth, 1.0F);
   }

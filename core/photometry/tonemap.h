@@ -7,13 +7,13 @@
 namespace omnihdr {
 
 struct ToneMapOptions {
-  double key = 0.18;               // what the log-average luminance maps to (Reinhard et al. 2002, eq. 2)
+  double key = 0.18;  // what the log-average luminance maps to (Reinhard et al. 2002, eq. 2)
   double white_percentile = 0.999;  // luminance that maps to white (eq. 4)
 };
 
-// Global photographic tone reproduction (Reinhard, Stark, Shirley and Ferwerda 2002, eqs. 1-4) of linear
-// RGB (W×H×3 or ×4, the fourth ignored) to 8-bit sRGB. Scaling by luminance keeps hue; NaN and negative
-// values read as black.
+// Global photographic tone reproduction (Reinhard, Stark, Shirley and Ferwerda 2002, eqs. 1-4) of
+// linear RGB (W×H×3 or ×4, the fourth ignored) to 8-bit sRGB. Scaling by luminance keeps hue; NaN
+// and negative values read as black.
 Image<std::uint8_t> ToneMapReinhard(ImageView<const float> radiance, const ToneMapOptions& options);
 
 // sRGB encoding (IEC 61966-2-1) of a linear value in 0..1.

@@ -10,30 +10,32 @@ namespace omnihdr {
 enum class ProcessMode { kAuto, kSpatiotemporal, kTemporal };
 enum class OutputOrientation { kAligned, kCamera };
 
-// Everything that decides what a view looks like. Two runs with equal options over equal journals give
-// equal bytes. Config section in brackets.
+// Everything that decides what a view looks like. Two runs with equal options over equal journals
+// give equal bytes. Config section in brackets.
 struct PipelineOptions {
   // [pipeline]
   // auto: temporal when the session is `perspective` or a single position, else spatiotemporal.
   ProcessMode mode = ProcessMode::kAuto;
   // [output]
-  int output_width = 0;  // of the lat-long pictures; 0 = the input panorama's width, even, at most 8192
+  int output_width =
+      0;  // of the lat-long pictures; 0 = the input panorama's width, even, at most 8192
   OutputOrientation orientation = OutputOrientation::kAligned;
   int preview_quality = 90;
   // PNG or JPEG the size of a frame, white = use; empty = no mask. Relative paths: to the working
   // directory (command line) or to the config file.
   std::string mask_file;  // [input] mask
   // [photometry]
-  double value_low = 10.0;    // usable range of pixel values in 8-bit units (thesis 5.2.2)
+  double value_low = 10.0;  // usable range of pixel values in 8-bit units (thesis 5.2.2)
   double value_high = 245.0;
   NoiseModel noise = {.read = 0.0};  // read noise 0: estimated from each frame
   // [stereo]
-  int stereo_width = 1024;     // of the equirectangular matching grid
-  int labels = 96;             // inverse-distance hypotheses
+  int stereo_width = 1024;         // of the equirectangular matching grid
+  int labels = 96;                 // inverse-distance hypotheses
   double max_parallax_deg = 45.0;  // largest parallax between neighbouring positions searched for
-  int neighbours = 2;          // positions on each side that take part (1 or 2)
+  int neighbours = 2;              // positions on each side that take part (1 or 2)
   // [pose]
-  double min_baseline_ratio = 0.002;  // below this (baseline over median distance) a pair is a pure rotation
+  double min_baseline_ratio =
+      0.002;  // below this (baseline over median distance) a pair is a pure rotation
   // [merge]
   // log10 disagreement with the own view, beyond noise and misregistration, at which another view's
   // sample counts half

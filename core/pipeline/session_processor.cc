@@ -171,9 +171,10 @@ class SessionProcessorImpl final : public SessionProcessor {
         frames_at_newest_ = 0;
       }
       if (IsFull(frames_at_newest_)) {
-        Warn(fmt::format("frame {}: position {} has its {} frame(s) already, as session.json's "
-                         "bracket.frames_per_position says: not used",
-                         Value(record.frame), position, frames_at_newest_));
+        Warn(
+            fmt::format("frame {}: position {} has its {} frame(s) already, as session.json's "
+                        "bracket.frames_per_position says: not used",
+                        Value(record.frame), position, frames_at_newest_));
         continue;
       }
       ++frames_at_newest_;
@@ -182,8 +183,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     return {};
   }
 
-  // Whether a position with so many frames has all it will get. In temporal mode a position has more than
-  // one frame by nature: it is closed by the next position unless their number is given.
+  // Whether a position with so many frames has all it will get. In temporal mode a position has
+  // more than one frame by nature: it is closed by the next position unless their number is given.
   bool IsFull(std::size_t frames) const {
     const int expected = info_.bracket ? info_.bracket->frames_per_position : 1;
     return static_cast<int>(frames) >= expected && (!is_temporal_ || expected > 1);
@@ -241,9 +242,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       });
       if (usable) positions.push_back(position);
     }
-    const auto missing = std::find_if(positions.begin(), positions.end(), [this](std::int64_t p) {
-      return !complete_.contains(p);
-    });
+    const auto missing = std::find_if(positions.begin(), positions.end(),
+                                      [this](std::int64_t p) { return !complete_.contains(p); });
     if (missing == positions.begin()) return {};
     for (const std::int64_t p : positions) {
       if (complete_.contains(p)) Tell(p);
@@ -314,8 +314,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     return context;
   }
 
-  // Reads and merges a position's usable frames; nothing when there is none. `count`: report what is
-  // wrong and count the position (not when it is read a second time to restore).
+  // Reads and merges a position's usable frames; nothing when there is none. `count`: report what
+  // is wrong and count the position (not when it is read a second time to restore).
   std::optional<LoadedPosition> Load(const std::vector<FrameRecord>& records, bool count) {
     std::vector<DecodedImage> images;
     std::vector<const FrameRecord*> usable;
@@ -403,9 +403,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       view.warnings.push_back("one exposure at this position: no range gained");
     }
     if (view.is_latlong) {
-      const int width = options_.output_width != 0
-                            ? options_.output_width
-                            : std::min(info_.camera.width / 2 * 2, 8192);
+      const int width = options_.output_width != 0 ? options_.output_width
+                                                   : std::min(info_.camera.width / 2 * 2, 8192);
       view.merged = MergeViews({&loaded->measurement, Pose{}, nullptr}, nullptr, nullptr, {},
                                Eigen::Quaterniond::Identity(), width, MergeOptions{});
     } else {
@@ -461,11 +460,12 @@ class SessionProcessorImpl final : public SessionProcessor {
     return {};
   }
 
-  // Timings differ from run to run and views must not: they have a file of their own. Losing a line of it
-  // costs nothing.
+  // Timings differ from run to run and views must not: they have a file of their own. Losing a line
+  // of it costs nothing.
   void AppendTiming(const ViewDone& done) const {
     const std::string line = fmt::format(
-        "{{\"position\": {}, \"seconds\": {{\"pose\": {:.4f}, \"stereo\": {:.4f}, \"merge\": {:.4f}, "
+        "{{\"position\": {}, \"seconds\": {{\"pose\": {:.4f}, \"stereo\": {:.4f}, \"merge\": "
+        "{:.4f}, "
         "\"write\": {:.4f}}}}}\n",
         Value(done.position), done.pose_s, done.stereo_s, done.merge_s, done.write_s);
     if (std::FILE* file = std::fopen((output_ / "timings.jsonl").c_str(), "ae")) {

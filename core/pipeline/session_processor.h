@@ -23,20 +23,20 @@ struct ViewDone {
 };
 
 struct ProcessorCallbacks {
-  std::function<void(const ViewDone&)> view_done;               // may be empty
-  std::function<void(const std::string& message)> warning;      // may be empty
+  std::function<void(const ViewDone&)> view_done;           // may be empty
+  std::function<void(const std::string& message)> warning;  // may be empty
 };
 
-// Turns a session directory into views, position by position, whoever is (or is not any more) writing
-// it. The daemon steps it while capturing; `omnihdr process` steps it to the end: the same object, so
-// the same bytes. State that matters is on disk: a processor opened on a half-processed session goes on
-// where the views end and gives the bytes an uninterrupted run would have given.
-// What is used follows from the order of the journal's lines alone, never from when they are read: a line
-// whose position lies before the newest one's, and one beyond the session's frames_per_position (1 unless
-// session.json says otherwise), are told of and not used. In temporal mode, unless that number is given, a
-// position is open until the next one begins.
-// View i is complete when position i+2 has been pushed, or at Finish. Not thread-safe; uses the worker
-// pool inside.
+// Turns a session directory into views, position by position, whoever is (or is not any more)
+// writing it. The daemon steps it while capturing; `omnihdr process` steps it to the end: the same
+// object, so the same bytes. State that matters is on disk: a processor opened on a half-processed
+// session goes on where the views end and gives the bytes an uninterrupted run would have given.
+// What is used follows from the order of the journal's lines alone, never from when they are read:
+// a line whose position lies before the newest one's, and one beyond the session's
+// frames_per_position (1 unless session.json says otherwise), are told of and not used. In temporal
+// mode, unless that number is given, a position is open until the next one begins. View i is
+// complete when position i+2 has been pushed, or at Finish. Not thread-safe; uses the worker pool
+// inside.
 class SessionProcessor {
  public:
   // `output` is the directory that gets views/ (the session itself by default, when empty).
@@ -47,19 +47,19 @@ class SessionProcessor {
   virtual ~SessionProcessor() = default;
 
   enum class Progress { kNothingNew, kWorked };
-  // Reads what the journal has gained and does at most one position's work. A frame that cannot be used
-  // (unreadable, wrong size) is reported through `warning` and costs that frame, not the session.
-  // An error is a reason to stop: disk full, session unreadable. Calling again retries.
+  // Reads what the journal has gained and does at most one position's work. A frame that cannot be
+  // used (unreadable, wrong size) is reported through `warning` and costs that frame, not the
+  // session. An error is a reason to stop: disk full, session unreadable. Calling again retries.
   virtual Result<Progress> Step() = 0;
   // The journal will not grow any more: completes the views that were waiting for neighbours.
   virtual Status Finish() = 0;
 
   struct Counts {
-    int positions_seen = 0;       // with usable pixels
+    int positions_seen = 0;  // with usable pixels
     int positions_without_pixels = 0;
-    int views_complete = 0;       // on disk, those found at Open included
-    int views_written = 0;        // by this object
-    int backlog = 0;              // positions journaled but not yet pushed
+    int views_complete = 0;  // on disk, those found at Open included
+    int views_written = 0;   // by this object
+    int backlog = 0;         // positions journaled but not yet pushed
   };
   virtual Counts counts() const = 0;
 };

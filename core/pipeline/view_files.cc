@@ -65,9 +65,8 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
   record->valid_fraction = statistics.valid_fraction;
   const bool needs_float = statistics.largest > kLargestSafeHalf;
   if (needs_float) {
-    record->warnings.push_back(
-        fmt::format("radiance up to {:.0f} exceeds half precision: stored as float",
-                    statistics.largest));
+    record->warnings.push_back(fmt::format(
+        "radiance up to {:.0f} exceeds half precision: stored as float", statistics.largest));
   }
   ExrAttributes attributes;
   attributes.latlong = is_latlong;

@@ -14,23 +14,23 @@ namespace omnihdr {
 
 // What the files of a view say beyond the view itself.
 struct ViewContext {
-  std::string mode;               // "spatiotemporal" or "temporal"
+  std::string mode;  // "spatiotemporal" or "temporal"
   double reference_exposure_s = 0.0;
-  std::string camera;             // model and serial
+  std::string camera;  // model and serial
   int preview_quality = 90;
 };
 
 // view.json's content for a finished view.
 ViewRecord RecordOfView(const FinishedView& view, const std::string& mode);
 
-// Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`. The radiance is stored
-// as half; as float when it exceeds what half can hold (a warning in view.json says so). Channel "origin"
-// beside R, G, B holds PixelOrigin values.
+// Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`. The radiance is
+// stored as half; as float when it exceeds what half can hold (a warning in view.json says so).
+// Channel "origin" beside R, G, B holds PixelOrigin values.
 Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView& view,
                       const ViewContext& context);
 
-// The same for a temporal merge (several frames at one position, no disparity): a lat-long picture for a
-// panorama, the frame's own grid for a perspective camera. No disparity.exr.
+// The same for a temporal merge (several frames at one position, no disparity): a lat-long picture
+// for a panorama, the frame's own grid for a perspective camera. No disparity.exr.
 struct TemporalView {
   PositionId position{};
   std::vector<FrameId> frames;

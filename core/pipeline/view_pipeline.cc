@@ -102,8 +102,7 @@ double ViewPipeline::SearchLimit(std::size_t index,
     shortest = shortest == 0.0 ? baseline : std::min(shortest, baseline);
     nearest = std::max(nearest, slots_[n].pose.max_inverse_distance);
   }
-  const double limit =
-      std::sin(Radians::FromDegrees(options_.max_parallax_deg).value()) / shortest;
+  const double limit = std::sin(Radians::FromDegrees(options_.max_parallax_deg).value()) / shortest;
   // Features miss the nearest surfaces (textureless, seen at a slant): search somewhat nearer.
   return nearest > 0.0 ? std::min(limit, 1.6 * nearest) : limit;
 }
@@ -123,8 +122,7 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
   std::vector<SweepNeighbour> neighbours;
   for (const std::size_t n : indices) {
     neighbours.push_back(
-        {&StereoViewOf(n),
-         OffsetInWorld(pose, slots_[n].pose.world_from_camera).cast<float>()});
+        {&StereoViewOf(n), OffsetInWorld(pose, slots_[n].pose.world_from_camera).cast<float>()});
   }
   SweepOptions sweep;
   sweep.labels = options_.labels;
@@ -145,8 +143,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   const Stopwatch stereo_time;
   slot.raw = MatchSlot(index);
   if (slot.raw != nullptr) {
-    // Stereo views are made when first needed, with the pose of that moment: needed must not depend on
-    // whether this view is wanted, or a resumed run would differ.
+    // Stereo views are made when first needed, with the pose of that moment: needed must not depend
+    // on whether this view is wanted, or a resumed run would differ.
     for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) StereoViewOf(n);
   }
   Image<std::uint8_t> brightness;
@@ -160,13 +158,13 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
         map = ahead.get();
       }
       if (map == nullptr) continue;
-      maps.push_back({map, OffsetInWorld(slot.pose.world_from_camera,
-                                         slots_[n].pose.world_from_camera)
-                               .cast<float>()});
+      maps.push_back(
+          {map, OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera)
+                    .cast<float>()});
     }
     FuseOptions fuse;
-    fuse.tolerance = 1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) /
-                     (options_.labels - 1);
+    fuse.tolerance =
+        1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) / (options_.labels - 1);
     slot.fused = std::make_shared<DisparityMap>(FuseDisparity(*slot.raw, maps, fuse));
     brightness = MapBrightness(StereoViewOf(index));
     FillHoles(brightness, FillOptions{}, slot.fused.get());
@@ -188,8 +186,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) {
     const Slot& other = slots_[n];
     // Another place without a disparity to reach it through would only ghost.
-    const double baseline = OffsetInWorld(slot.pose.world_from_camera, other.pose.world_from_camera)
-                                .norm();
+    const double baseline =
+        OffsetInWorld(slot.pose.world_from_camera, other.pose.world_from_camera).norm();
     if (slot.raw == nullptr && baseline > 0.0) continue;
     others.push_back({&other.input.measurement, other.pose.world_from_camera, nullptr});
     view.frames.insert(view.frames.end(), other.input.frames.begin(), other.input.frames.end());
@@ -206,8 +204,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   const int width = options_.output_width != 0
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
-  view.merged = MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output,
-                           width, merge);
+  view.merged =
+      MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output, width, merge);
   view.merge_s = merge_time.Seconds();
   return view;
 }
@@ -266,7 +264,8 @@ Status ViewPipeline::Restore(const std::string& resume_json) {
   if (!state.is_object() || !state.contains("poses") || !state.contains("lowest_floor") ||
       !state["lowest_floor"].is_number() || !state.contains("brightest") ||
       !state["brightest"].is_number()) {
-    return Fail(ErrorKind::kData, "resume state: not an object with lowest_floor, brightest, poses");
+    return Fail(ErrorKind::kData,
+                "resume state: not an object with lowest_floor, brightest, poses");
   }
   OMNIHDR_TRY(tracker_->RestoreState(state["poses"].dump()));
   lowest_floor_ = state["lowest_floor"].get<float>();

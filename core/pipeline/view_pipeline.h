@@ -43,22 +43,23 @@ struct FinishedView {
   double merge_s = 0.0;
 };
 
-// The incremental fusion of a sequence of positions in bounded memory: a window of the last positions and
-// their maps. View i is finished when position i+2 is pushed, or by Finish. Deterministic: the same
-// inputs give the same views to the last bit, on any number of cores, and a pipeline restored from
-// resume_json and pushed the following positions goes on as if it had never stopped. Not thread-safe.
+// The incremental fusion of a sequence of positions in bounded memory: a window of the last
+// positions and their maps. View i is finished when position i+2 is pushed, or by Finish.
+// Deterministic: the same inputs give the same views to the last bit, on any number of cores, and a
+// pipeline restored from resume_json and pushed the following positions goes on as if it had never
+// stopped. Not thread-safe.
 class ViewPipeline {
  public:
   static Result<std::unique_ptr<ViewPipeline>> Create(const PipelineOptions& options);
 
-  // How many positions before the first view to be made a restored pipeline has to be pushed first, for
-  // everything that view depends on to be there again.
+  // How many positions before the first view to be made a restored pipeline has to be pushed first,
+  // for everything that view depends on to be there again.
   static constexpr int kWarmUpPositions = 8;
   // Positions whose measurements Restore needs again (the pose tracker's window), at most.
   std::vector<PositionId> RestorePositions() const;
 
-  // `make_view` tells whether the view that this push finishes is wanted (already on disk: bookkeeping
-  // only). Returns the finished view, if this push finished one.
+  // `make_view` tells whether the view that this push finishes is wanted (already on disk:
+  // bookkeeping only). Returns the finished view, if this push finished one.
   using WantView = std::function<bool(PositionId)>;
   std::optional<FinishedView> Push(PositionInput input, const WantView& want);
   // The views still waiting, in order. Afterwards the pipeline is empty.
@@ -96,7 +97,7 @@ class ViewPipeline {
   std::deque<Slot> slots_;
   std::size_t next_unfinished_ = 0;  // index into slots_
   LogScale scale_;
-  float lowest_floor_ = 0.0F;        // over all positions so far; 0 = none yet
+  float lowest_floor_ = 0.0F;  // over all positions so far; 0 = none yet
   float brightest_ = 0.0F;
   double last_pose_s_ = 0.0;
 };

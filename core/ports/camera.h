@@ -59,24 +59,24 @@ struct CameraFrame {
   std::variant<Image<std::uint8_t>, Image<std::uint16_t>> pixels;
 };
 
-// A camera that takes one picture at a time on request. Life: Open -> Start -> (Trigger, Receive)* ->
-// Stop -> Start ... -> Close; every call in any state returns an error rather than misbehave, and
-// Start/Stop/Close are idempotent. Threads: Trigger from one thread and Receive from another at the
-// same time; everything else when neither runs. No exception leaves a camera.
+// A camera that takes one picture at a time on request. Life: Open -> Start -> (Trigger, Receive)*
+// -> Stop -> Start ... -> Close; every call in any state returns an error rather than misbehave,
+// and Start/Stop/Close are idempotent. Threads: Trigger from one thread and Receive from another at
+// the same time; everything else when neither runs. No exception leaves a camera.
 class Camera {
  public:
   virtual ~Camera() = default;
-  // Finds and configures the device: everything automatic off, settings read back. kUnavailable when
-  // there is no such device (yet).
+  // Finds and configures the device: everything automatic off, settings read back. kUnavailable
+  // when there is no such device (yet).
   virtual Result<CameraInfo> Open() = 0;
   virtual void Close() = 0;
   virtual Status Start() = 0;
   virtual void Stop() = 0;
-  // Commands the exposure. Returns at once; the picture arrives through Receive. kTemporary when the
-  // camera is still busy with the picture before; kUnavailable when it has gone.
+  // Commands the exposure. Returns at once; the picture arrives through Receive. kTemporary when
+  // the camera is still busy with the picture before; kUnavailable when it has gone.
   virtual Status Trigger(const ExposureRequest& request) = 0;
-  // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable when
-  // the device has gone and Open must be called again.
+  // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable
+  // when the device has gone and Open must be called again.
   virtual Result<CameraFrame> Receive(Nanoseconds timeout) = 0;
 };
 

@@ -16,16 +16,16 @@ struct TriggerEvent {
   std::uint64_t lost_before = 0;     // events of this source known to be lost since the last one
 };
 
-// Where triggers come from: GPIO edge, wheel distance, timer, software. Poll from one thread; the event
-// loop waits on fd() (readable = Poll has something) or until NextDeadline().
+// Where triggers come from: GPIO edge, wheel distance, timer, software. Poll from one thread; the
+// event loop waits on fd() (readable = Poll has something) or until NextDeadline().
 class TriggerSource {
  public:
   virtual ~TriggerSource() = default;
   virtual std::string_view kind() const = 0;
   virtual Status Start() = 0;
   virtual void Stop() = 0;
-  // The next event not yet delivered, or nothing. Never blocks. A source that has come to its end (a
-  // replayed session, a count limit) answers nothing from then on and says so in exhausted().
+  // The next event not yet delivered, or nothing. Never blocks. A source that has come to its end
+  // (a replayed session, a count limit) answers nothing from then on and says so in exhausted().
   virtual Result<std::optional<TriggerEvent>> Poll() = 0;
   // File descriptor to watch, -1 for none.
   virtual int fd() const { return -1; }

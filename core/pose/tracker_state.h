@@ -48,6 +48,6 @@ struct TrackerState {
 // JSON text; numbers survive the round trip exactly.
 std::string TrackerStateToJson(const TrackerState& state);
 // kData error saying what is missing or of the wrong type.
-Result<TrackerState> TrackerStateFromJson(const std::string& json);
+Result<TrackerState> TrackerStateFromJson(const std::string& text);
 
 }  // namespace omnihdr

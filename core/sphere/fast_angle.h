@@ -7,8 +7,8 @@
 namespace omnihdr {
 
 // atan2 to within 3e-7 rad, without branches so that loops over it vectorise. FastAtan2(0, 0) = 0.
-// Odd minimax polynomial of degree 15 on [0, 1] (Abramowitz and Stegun 4.4.49 is the same form), then
-// the octant folded back.
+// Odd minimax polynomial of degree 15 on [0, 1] (Abramowitz and Stegun 4.4.49 is the same form),
+// then the octant folded back.
 OMNIHDR_ALWAYS_INLINE float FastAtan2(float y, float x) {
   constexpr float kHalfPi = 1.57079632679489662F;
   constexpr float kPi = 3.14159265358979324F;

@@ -11,8 +11,8 @@
 
 namespace omnihdr {
 
-// Directions of an equirectangular grid's pixel centres, from tables, and the fast way back. The same
-// mapping as Projection::Equirectangular, in float. Thread-safe to read.
+// Directions of an equirectangular grid's pixel centres, from tables, and the fast way back. The
+// same mapping as Projection::Equirectangular, in float. Thread-safe to read.
 class LatLongGrid {
  public:
   LatLongGrid(int width, int height)
@@ -22,7 +22,8 @@ class LatLongGrid {
         y_scale_(static_cast<float>(height / std::numbers::pi)) {
     for (int x = 0; x < width; ++x) {
       const double theta = std::numbers::pi - 2.0 * std::numbers::pi * (x + 0.5) / width;
-      columns_.push_back({static_cast<float>(std::cos(theta)), static_cast<float>(std::sin(theta))});
+      columns_.push_back(
+          {static_cast<float>(std::cos(theta)), static_cast<float>(std::sin(theta))});
     }
     for (int y = 0; y < height; ++y) {
       const double phi = std::numbers::pi * (y + 0.5) / height;

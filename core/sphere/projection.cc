@@ -10,8 +10,10 @@ constexpr double kPi = std::numbers::pi;
 
 std::string_view ToString(ProjectionKind kind) {
   switch (kind) {
-    case ProjectionKind::kEquirectangular: return "equirectangular";
-    case ProjectionKind::kCylindrical: return "cylindrical";
+    case ProjectionKind::kEquirectangular:
+      return "equirectangular";
+    case ProjectionKind::kCylindrical:
+      return "cylindrical";
   }
   return "?";
 }

@@ -13,10 +13,11 @@ enum class ProjectionKind { kEquirectangular, kCylindrical };
 std::string_view ToString(ProjectionKind kind);
 std::optional<ProjectionKind> ProjectionKindFromString(std::string_view name);
 
-// The mapping between pixels of a panorama and unit rays of its camera frame (X forward, Y left, Z up).
-// Column: x = W·(π − θ)/2π with θ = atan2(Y, X) (thesis eqs. 3.4, 3.14). Row, equirectangular:
+// The mapping between pixels of a panorama and unit rays of its camera frame (X forward, Y left, Z
+// up). Column: x = W·(π − θ)/2π with θ = atan2(Y, X) (thesis eqs. 3.4, 3.14). Row, equirectangular:
 // y = H·φ/π with φ the angle from +Z; cylindrical: y = H·(z_max − z)/(z_max − z_min) with
-// z = Z/√(X²+Y²) (thesis eq. 3.5). Pixel (column j, row i) has its centre at (j+0.5, i+0.5). Value type.
+// z = Z/√(X²+Y²) (thesis eq. 3.5). Pixel (column j, row i) has its centre at (j+0.5, i+0.5). Value
+// type.
 class Projection {
  public:
   Projection() = default;

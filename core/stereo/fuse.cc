@@ -43,7 +43,8 @@ Image<float> WarpDisparity(const DisparityMap& map, const Eigen::Vector3f& offse
 }
 
 DisparityMap FuseDisparity(const DisparityMap& reference,
-                           const std::vector<NeighbourMap>& neighbours, const FuseOptions& options) {
+                           const std::vector<NeighbourMap>& neighbours,
+                           const FuseOptions& options) {
   const int width = reference.disparity.width();
   const int height = reference.disparity.height();
   const LatLongGrid grid(width, height);

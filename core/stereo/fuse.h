@@ -22,26 +22,27 @@ struct FuseOptions {
   float least_score = 0.45F;         // below it a pixel is a hole
 };
 
-// Forward warp of a disparity map to a viewpoint at `offset` (seen from the map's own centre): at every
-// pixel of the target the nearest surface that lands there; NaN in holes and behind nothing.
+// Forward warp of a disparity map to a viewpoint at `offset` (seen from the map's own centre): at
+// every pixel of the target the nearest surface that lands there; NaN in holes and behind nothing.
 Image<float> WarpDisparity(const DisparityMap& map, const Eigen::Vector3f& offset);
 
-// Vote fusion of the reference's map with its neighbours': each pixel's candidates are its own value and
-// those the other maps put there; the one with most supporters less half the violations (views that see
-// through it: Merrell et al. 2007 call it a free-space violation) wins, and becomes the mean of its
-// supporters. Confidence is the winner's score over the number of maps.
-DisparityMap FuseDisparity(const DisparityMap& reference, const std::vector<NeighbourMap>& neighbours,
-                           const FuseOptions& options);
+// Vote fusion of the reference's map with its neighbours': each pixel's candidates are its own
+// value and those the other maps put there; the one with most supporters less half the violations
+// (views that see through it: Merrell et al. 2007 call it a free-space violation) wins, and becomes
+// the mean of its supporters. Confidence is the winner's score over the number of maps.
+DisparityMap FuseDisparity(const DisparityMap& reference,
+                           const std::vector<NeighbourMap>& neighbours, const FuseOptions& options);
 
 struct FillOptions {
-  int reach = 192;           // how far a hole looks for its rim, in pixels
+  int reach = 192;             // how far a hole looks for its rim, in pixels
   float colour_codes = 10.0F;  // brightness difference at which a rim pixel counts e^-1
 };
 
-// Fills holes only (what is known stays as it is): from the rims in eight directions, weighed by distance
-// and likeness of brightness, leaning to the farther surface, since holes are mostly what a nearer one
-// hid. Confidence of a filled pixel is 0.
-void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options, DisparityMap* map);
+// Fills holes only (what is known stays as it is): from the rims in eight directions, weighed by
+// distance and likeness of brightness, leaning to the farther surface, since holes are mostly what
+// a nearer one hid. Confidence of a filled pixel is 0.
+void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options,
+               DisparityMap* map);
 
 // Brightness (log code) of a stereo view at the pixel centres of its map.
 Image<std::uint8_t> MapBrightness(const StereoView& view);

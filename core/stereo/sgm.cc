@@ -15,8 +15,8 @@ namespace {
 
 constexpr int kPad = 32;  // room before label 0 and after the last, in values
 
-// One step of a path: from the costs of the path's previous pixel to this pixel's, added to its sums.
-// `previous` and `current` have a guard value on either side.
+// One step of a path: from the costs of the path's previous pixel to this pixel's, added to its
+// sums. `previous` and `current` have a guard value on either side.
 OMNIHDR_SIMD_CLONES
 std::uint16_t PathStep(const std::uint8_t* cost, const std::uint16_t* previous,
                        std::uint16_t previous_least, std::uint16_t small_penalty,
@@ -79,7 +79,8 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& refe
   std::vector<std::uint16_t> sums(pixels * static_cast<std::size_t>(labels), 0);
   const auto sum_at = [&](int x, int y) {
     return sums.data() + (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-                          static_cast<std::size_t>(x)) * static_cast<std::size_t>(labels);
+                          static_cast<std::size_t>(x)) *
+                             static_cast<std::size_t>(labels);
   };
   Image<std::uint8_t> brightness(width, height);
   ParallelFor(height, 16, [&](int begin, int end) {
@@ -123,9 +124,8 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& refe
         const int y = direction > 0 ? k : height - 1 - k;
         const int from = k == 0 ? y : y - direction;
         for (int x = begin; x < end; ++x) {
-          paths[static_cast<std::size_t>(x - begin)].Step(volume.at(x, y), options.small_penalty,
-                                                          large_penalty(x, from, x, y),
-                                                          sum_at(x, y));
+          paths[static_cast<std::size_t>(x - begin)].Step(
+              volume.at(x, y), options.small_penalty, large_penalty(x, from, x, y), sum_at(x, y));
         }
       }
     }

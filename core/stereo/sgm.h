@@ -10,8 +10,8 @@
 namespace omnihdr {
 
 struct SgmOptions {
-  int small_penalty = 6;    // P1: a change of one label
-  int large_penalty = 60;   // P2: any larger change, on a flat surface
+  int small_penalty = 6;         // P1: a change of one label
+  int large_penalty = 60;        // P2: any larger change, on a flat surface
   int least_large_penalty = 18;  // P2 across the strongest edge
 };
 
@@ -21,9 +21,10 @@ struct DisparityMap {
   Image<float> confidence;  // 0..1
 };
 
-// Semi-global matching (Hirschmueller 2008) on the sphere, four paths; rows close round the globe. The
-// large penalty falls with the reference's own log-luminance edges. Sub-pixel by a parabola through the
-// sums; confidence from the margin of the best label over the best that is not its neighbour.
+// Semi-global matching (Hirschmueller 2008) on the sphere, four paths; rows close round the globe.
+// The large penalty falls with the reference's own log-luminance edges. Sub-pixel by a parabola
+// through the sums; confidence from the margin of the best label over the best that is not its
+// neighbour.
 DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& reference,
                                 const SgmOptions& options);
 

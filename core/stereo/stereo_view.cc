@@ -15,8 +15,8 @@ namespace {
 constexpr std::uint8_t kLowestCode = 1;
 constexpr std::uint8_t kHighestCode = 254;
 constexpr float kGradientCodesPerLn = 60.0F;
-// A dark channel still tells its radiance, if roughly, down to this many times the noise floor; below, it
-// only says "at most".
+// A dark channel still tells its radiance, if roughly, down to this many times the noise floor;
+// below, it only says "at most".
 constexpr float kDarkNoiseFloors = 2.0F;
 constexpr std::uint64_t kNothing = 0x00FF00FF00FF00FFULL;  // every lane lo = 255, hi = 0
 
@@ -111,7 +111,8 @@ StereoView MakeStereoView(const Measurement& measurement,
   view.width = width;
   view.height = width / 2;
   const int rows = view.height + 1;
-  view.texels.assign(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width + 1), kNothing);
+  view.texels.assign(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width + 1),
+                     kNothing);
 
   const Eigen::Matrix3f camera_from_world =
       world_from_camera.conjugate().toRotationMatrix().cast<float>();
@@ -153,7 +154,8 @@ StereoView MakeStereoView(const Measurement& measurement,
     }
   });
 
-  constexpr int kStep = 2;  // derivative over one pixel of a map of half the lattice's size each side
+  constexpr int kStep =
+      2;  // derivative over one pixel of a map of half the lattice's size each side
   ParallelFor(rows, 8, [&](int begin, int end) {
     for (int i = begin; i < end; ++i) {
       std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);

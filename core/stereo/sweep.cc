@@ -13,9 +13,10 @@
 namespace omnihdr {
 namespace {
 
-constexpr int kPlanes = 8;     // bytes of a texel
-constexpr int kMaxViews = 5;   // reference and four neighbours
-constexpr int kBlock = 256;    // columns worked on at a time: everything stays in the first-level cache
+constexpr int kPlanes = 8;    // bytes of a texel
+constexpr int kMaxViews = 5;  // reference and four neighbours
+constexpr int kBlock =
+    256;  // columns worked on at a time: everything stays in the first-level cache
 
 // One view's texels for a block of columns, byte by byte, and whether they say anything.
 struct Lanes {
@@ -46,8 +47,8 @@ void LatticeIndices(const RayBlock& u, const float* offset, float d, int lattice
     const float rho = std::sqrt(vx * vx + vy * vy);
     const float column = (kPi - FastAtan2(vy, vx)) * x_scale;
     const float row = FastAtan2(rho, vz) * y_scale;
-    index[i] = static_cast<std::int32_t>(row + 0.5F) * stride +
-               static_cast<std::int32_t>(column + 0.5F);
+    index[i] =
+        static_cast<std::int32_t>(row + 0.5F) * stride + static_cast<std::int32_t>(column + 0.5F);
   }
 }
 
@@ -93,14 +94,14 @@ void AddPair(const Lanes& a, const Lanes& b, const PairLimits& limits, std::uint
   const std::uint8_t unknown = limits.unknown;
   const int shift = limits.gradient_shift;
   for (std::size_t i = 0; i < kBlock; ++i) {
-    const auto red = IntervalDistance(a.plane[0][i], a.plane[1][i], b.plane[0][i], b.plane[1][i],
-                                      value);
-    const auto blue = IntervalDistance(a.plane[2][i], a.plane[3][i], b.plane[2][i], b.plane[3][i],
-                                       value);
-    const auto gx = IntervalDistance(a.plane[4][i], a.plane[5][i], b.plane[4][i], b.plane[5][i],
-                                     gradient);
-    const auto gy = IntervalDistance(a.plane[6][i], a.plane[7][i], b.plane[6][i], b.plane[7][i],
-                                     gradient);
+    const auto red =
+        IntervalDistance(a.plane[0][i], a.plane[1][i], b.plane[0][i], b.plane[1][i], value);
+    const auto blue =
+        IntervalDistance(a.plane[2][i], a.plane[3][i], b.plane[2][i], b.plane[3][i], value);
+    const auto gx =
+        IntervalDistance(a.plane[4][i], a.plane[5][i], b.plane[4][i], b.plane[5][i], gradient);
+    const auto gy =
+        IntervalDistance(a.plane[6][i], a.plane[7][i], b.plane[6][i], b.plane[7][i], gradient);
     const auto gradients = static_cast<std::uint8_t>(static_cast<std::uint8_t>(gx + gy) >> shift);
     const auto cost = static_cast<std::uint8_t>(red + blue + gradients);
     const auto known = static_cast<std::uint8_t>(a.known[i] & b.known[i]);
@@ -112,8 +113,8 @@ void AddPair(const Lanes& a, const Lanes& b, const PairLimits& limits, std::uint
 OMNIHDR_SIMD_CLONES
 void Normalise(const std::uint16_t* sum, std::uint16_t multiplier, std::uint8_t* out) {
   for (int i = 0; i < kBlock; ++i) {
-    out[i] = static_cast<std::uint8_t>(
-        (static_cast<std::uint32_t>(sum[i]) * multiplier + 32768U) >> 16U);
+    out[i] = static_cast<std::uint8_t>((static_cast<std::uint32_t>(sum[i]) * multiplier + 32768U) >>
+                                       16U);
   }
 }
 
@@ -142,8 +143,7 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
 
   std::vector<std::array<float, 2>> cos_sin(static_cast<std::size_t>(volume.width));
   for (int x = 0; x < volume.width; ++x) {
-    const double theta =
-        std::numbers::pi - 2.0 * std::numbers::pi * (x + 0.5) / volume.width;
+    const double theta = std::numbers::pi - 2.0 * std::numbers::pi * (x + 0.5) / volume.width;
     cos_sin[static_cast<std::size_t>(x)] = {static_cast<float>(std::cos(theta)),
                                             static_cast<float>(std::sin(theta))};
   }
@@ -193,10 +193,12 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
         // Label fastest, as the optimiser walks it.
         std::uint8_t* out = volume.cost.data() +
                             (static_cast<std::size_t>(y) * static_cast<std::size_t>(volume.width) +
-                             static_cast<std::size_t>(x0)) * static_cast<std::size_t>(volume.labels);
+                             static_cast<std::size_t>(x0)) *
+                                static_cast<std::size_t>(volume.labels);
         for (int i = 0; i < columns; ++i) {
           for (int label = 0; label < volume.labels; ++label) {
-            *out++ = by_label[static_cast<std::size_t>(label) * kBlock + static_cast<std::size_t>(i)];
+            *out++ =
+                by_label[static_cast<std::size_t>(label) * kBlock + static_cast<std::size_t>(i)];
           }
         }
       }

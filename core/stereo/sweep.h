@@ -17,19 +17,19 @@ struct CostVolume {
   double step = 0.0;
   std::vector<std::uint8_t> cost;
   const std::uint8_t* at(int x, int y) const {
-    return cost.data() +
-           (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-            static_cast<std::size_t>(x)) * static_cast<std::size_t>(labels);
+    return cost.data() + (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
+                          static_cast<std::size_t>(x)) *
+                             static_cast<std::size_t>(labels);
   }
 };
 
 struct SweepOptions {
   int labels = 96;
   double max_disparity = 1.0;  // largest normalised disparity searched, inclusive
-  int value_truncation = 36;      // of one lane's interval distance, in codes
+  int value_truncation = 36;   // of one lane's interval distance, in codes
   int gradient_truncation = 36;
-  int gradient_shift = 0;         // halves the gradient's say this many times
-  int unknown_cost = 24;          // of a pair of which one side says nothing (of 4 lanes' sum)
+  int gradient_shift = 0;  // halves the gradient's say this many times
+  int unknown_cost = 24;   // of a pair of which one side says nothing (of 4 lanes' sum)
 };
 
 struct SweepNeighbour {
@@ -39,11 +39,12 @@ struct SweepNeighbour {
   Eigen::Vector3f offset = Eigen::Vector3f::Zero();
 };
 
-// Plane sweep on the sphere: for the surface point at inverse distance d along the unit ray u, neighbour n
-// at offset b sees it along u − d·b (thesis eq. 4.5: normalised disparity). The cost of a hypothesis is the
-// mean over all pairs of views (the reference and up to four neighbours; neighbours among themselves
-// too: where the reference is saturated they still match each other) of the truncated distances between
-// the lanes' intervals. The map has half the views' lattice size. Deterministic on any number of cores.
+// Plane sweep on the sphere: for the surface point at inverse distance d along the unit ray u,
+// neighbour n at offset b sees it along u − d·b (thesis eq. 4.5: normalised disparity). The cost of
+// a hypothesis is the mean over all pairs of views (the reference and up to four neighbours;
+// neighbours among themselves too: where the reference is saturated they still match each other) of
+// the truncated distances between the lanes' intervals. The map has half the views' lattice size.
+// Deterministic on any number of cores.
 CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
                       const SweepOptions& options);
 

@@ -19,16 +19,17 @@ namespace {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kMaxSources = 8;
 constexpr float kTrustedConfidence = 0.4F;
-constexpr float kLeastNoiseFloors = 4.0F;   // a source darker than this has no ratio worth averaging
-constexpr float kLargestRatio = 6.0F;       // two samples farther apart do not show the same surface
+constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
+constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
 constexpr float kLeastBlockSamples = 4.0F;
 constexpr float kLeastTrust = 0.2F;
-constexpr float kHalfTrustSigmas = 3.0F;  // disagreement in standard deviations that halves the trust
+constexpr float kHalfTrustSigmas =
+    3.0F;  // disagreement in standard deviations that halves the trust
 constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
 
-// The reference's disparity at full resolution: low-resolution pixels around, weighed by nearness and by
-// likeness of brightness (joint bilateral upsampling, Kopf et al. 2007), but never a mean of two surfaces:
-// only values close to the heaviest one take part.
+// The reference's disparity at full resolution: low-resolution pixels around, weighed by nearness
+// and by likeness of brightness (joint bilateral upsampling, Kopf et al. 2007), but never a mean of
+// two surfaces: only values close to the heaviest one take part.
 class DisparityLookup {
  public:
   DisparityLookup(const DisparityMap& map, const Image<std::uint8_t>& brightness)
@@ -94,11 +95,12 @@ class DisparityLookup {
   LatLongGrid grid_;
 };
 
-// How the reference's radiance compares with one source's where both measured the same surface: a smooth
-// field of reference / source over the sphere (light that changed, wrong exposure labels, vignetting, a
-// tone curve that is not quite undone, gloss) and how much they still differ beyond what noise explains.
-// Ratios are averaged, not their logarithms: the reference may be dark and noisy, and the mean of a ratio
-// to a cleaner source stays unbiased. The field of two consistent views is one.
+// How the reference's radiance compares with one source's where both measured the same surface: a
+// smooth field of reference / source over the sphere (light that changed, wrong exposure labels,
+// vignetting, a tone curve that is not quite undone, gloss) and how much they still differ beyond
+// what noise explains. Ratios are averaged, not their logarithms: the reference may be dark and
+// noisy, and the mean of a ratio to a cleaner source stays unbiased. The field of two consistent
+// views is one.
 class AgreementField {
  public:
   static constexpr int kWidth = 128;
@@ -143,14 +145,14 @@ class AgreementField {
           if (cy < 0 || cy >= kHeight) continue;
           for (int dx = -2; dx <= 2; ++dx) {
             const auto k = static_cast<std::size_t>(cy * kWidth + (x + dx + kWidth) % kWidth);
-            const double falloff =
-                kFalloff[static_cast<std::size_t>(dx + 2)] * kFalloff[static_cast<std::size_t>(dy + 2)];
+            const double falloff = kFalloff[static_cast<std::size_t>(dx + 2)] *
+                                   kFalloff[static_cast<std::size_t>(dy + 2)];
             s += falloff * sum[k];
             w += falloff * weight[k];
           }
         }
-        field_[static_cast<std::size_t>(y * kWidth + x)] = std::clamp(
-            global + static_cast<float>(s / w), 1.0F / kLargestFactor, kLargestFactor);
+        field_[static_cast<std::size_t>(y * kWidth + x)] =
+            std::clamp(global + static_cast<float>(s / w), 1.0F / kLargestFactor, kLargestFactor);
       }
     }
     // What is left over, robustly, less what noise explains.
@@ -184,9 +186,10 @@ class AgreementField {
 
  private:
   static constexpr std::size_t kLeastResiduals = 200;
-  static constexpr float kLargestFactor = 2.0F;   // beyond a stop it is not drift but a mistake
+  static constexpr float kLargestFactor = 2.0F;  // beyond a stop it is not drift but a mistake
   static constexpr double kCellSpread = 0.05;
-  static constexpr double kPriorWeight = 1000.0;  // of the global ratio, in units of residuals' weights
+  static constexpr double kPriorWeight =
+      1000.0;  // of the global ratio, in units of residuals' weights
   static constexpr float kUnknownExcess = 0.04F;
   std::vector<float> field_;
   float excess_ = kUnknownExcess;
@@ -200,8 +203,8 @@ struct SourceLookup {
   Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
   Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
   AgreementField agreement;
-  // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a wrong
-  // registration that the noise of a single dark pixel hides.
+  // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a
+  // wrong registration that the noise of a single dark pixel hides.
   Image<float> block_trust;
 };
 
@@ -214,8 +217,8 @@ struct BlockSums {
   float count = 0.0F;
 };
 
-// Where a source sees the surface point at disparity `d` along the world ray: its image point. False when
-// the point is hidden there.
+// Where a source sees the surface point at disparity `d` along the world ray: its image point.
+// False when the point is hidden there.
 bool Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen::Vector3f& ray,
             float d, float occlusion_tolerance, float* x, float* y) {
   Eigen::Vector3f v = ray;
@@ -236,13 +239,12 @@ bool Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen
   return true;
 }
 
-// The nearest surface seen from a source in each direction: the reference's map warped there, and the
-// source's own map where it has one.
+// The nearest surface seen from a source in each direction: the reference's map warped there, and
+// the source's own map where it has one.
 Image<float> NearestSurface(const DisparityMap& reference, const MergeSource& source,
                             const Eigen::Vector3f& offset) {
   Image<float> nearest = WarpDisparity(reference, offset);
-  if (source.disparity != nullptr &&
-      source.disparity->disparity.width() == nearest.width()) {
+  if (source.disparity != nullptr && source.disparity->disparity.width() == nearest.width()) {
     for (int y = 0; y < nearest.height(); ++y) {
       for (int x = 0; x < nearest.width(); ++x) {
         if (source.disparity->confidence.at(x, y) < 0.3F) continue;
@@ -259,7 +261,7 @@ struct Sample {
   std::array<float, 3> radiance{};
   std::array<float, 3> variance{};
   std::uint8_t flags = kMasked;
-  bool usable = false;   // no channel saturated, not masked
+  bool usable = false;  // no channel saturated, not masked
   float trust = 1.0F;
 };
 
@@ -287,7 +289,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                       const MergeOptions& options) {
   const int height = width / 2;
   const LatLongGrid output(width, height);
-  const Eigen::Matrix3f world_from_output_matrix = world_from_output.toRotationMatrix().cast<float>();
+  const Eigen::Matrix3f world_from_output_matrix =
+      world_from_output.toRotationMatrix().cast<float>();
   const Measurement& own = *reference.measurement;
   const PanoramaSampler own_sampler(own);
   const Eigen::Matrix3f own_from_world =
@@ -333,8 +336,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     return s;
   };
 
-  const float cells_per_pixel_x = static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
-  const float cells_per_pixel_y = static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
+  const float cells_per_pixel_x =
+      static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
+  const float cells_per_pixel_y =
+      static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
   ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
     constexpr int kStep = 2;  // pixels looked at, in each direction
     for (int n = begin; n < end; ++n) {
@@ -376,7 +381,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
-          const float contrast = LocalContrast(*source.measurement, px, py) * options.misalignment_px;
+          const float contrast =
+              LocalContrast(*source.measurement, px, py) * options.misalignment_px;
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
                                AgreementField::kWidth +
                            static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
@@ -391,9 +397,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
               blocks[static_cast<std::size_t>(by) * static_cast<std::size_t>(blocks_x) +
                      static_cast<std::size_t>(bx)];
           if (b.count < kLeastBlockSamples) continue;
-          const float factor = source.agreement.Factor(
-              (static_cast<float>(bx) + 0.5F) * kBlock * cells_per_pixel_x,
-              (static_cast<float>(by) + 0.5F) * kBlock * cells_per_pixel_y);
+          const float factor =
+              source.agreement.Factor((static_cast<float>(bx) + 0.5F) * kBlock * cells_per_pixel_x,
+                                      (static_cast<float>(by) + 0.5F) * kBlock * cells_per_pixel_y);
           const float gap = b.mine - factor * b.theirs;
           const float tolerance = options.block_error * std::max(b.mine, factor * b.theirs);
           const float r = gap * gap / (9.0F * (b.noise + tolerance * tolerance));
@@ -453,7 +459,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           samples[count++] = s;
         }
 
-        // How well each other sample agrees with what this view itself saw, as an interval per channel.
+        // How well each other sample agrees with what this view itself saw, as an interval per
+        // channel.
         if ((mine.flags & kMasked) == 0) {
           for (std::size_t k = 1; k < count; ++k) {
             Sample& s = samples[k];
@@ -479,7 +486,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         for (std::size_t k = 0; k < count; ++k) {
           if (samples[k].usable) most_trusted = std::max(most_trusted, samples[k].trust);
         }
-        // Where this view is saturated and all that others offer contradicts that, they see something else.
+        // Where this view is saturated and all that others offer contradicts that, they see
+        // something else.
         if (most_trusted > kLeastTrust) {
           // A common estimate of the signal first, so that noise does not bias the weights.
           std::array<float, 3> signal{};

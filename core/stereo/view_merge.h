@@ -25,30 +25,30 @@ struct MergeSource {
 };
 
 struct MergeOptions {
-  float misalignment_px = 0.35F;      // expected registration error of a trusted disparity, in pixels
-  float distrusted_px = 1.2F;         // of one with confidence 0
-  float model_error = 0.12F;          // relative error of another view besides noise: gloss, focus, ...
-  float consistency_log10 = 0.03F;    // log10 disagreement with the own view, beyond noise and
-                                      // misregistration, at which a sample counts half
-  float block_error = 0.02F;          // relative error of a block's mean that still counts as agreement
+  float misalignment_px = 0.35F;  // expected registration error of a trusted disparity, in pixels
+  float distrusted_px = 1.2F;     // of one with confidence 0
+  float model_error = 0.12F;      // relative error of another view besides noise: gloss, focus, ...
+  float consistency_log10 = 0.03F;  // log10 disagreement with the own view, beyond noise and
+                                    // misregistration, at which a sample counts half
+  float block_error = 0.02F;  // relative error of a block's mean that still counts as agreement
   float occlusion_tolerance = 0.05F;  // relative: a surface nearer by more hides the sample
 };
 
 struct MergedView {
-  Image<float> radiance;    // W×H×3, lat-long; 0 where there is no data
-  Image<float> disparity;   // W×H; NaN = unknown
-  Image<float> confidence;  // W×H, 0..1
+  Image<float> radiance;       // W×H×3, lat-long; 0 where there is no data
+  Image<float> disparity;      // W×H; NaN = unknown
+  Image<float> confidence;     // W×H, 0..1
   Image<std::uint8_t> origin;  // W×H, PixelOrigin
 };
 
 // The radiance map of `reference` on a lat-long grid of `width` × width/2 whose axes are turned by
 // `world_from_output`: every pixel is sought in the other views through the reference's disparity
-// (backward warp), unless hidden there; what is found is weighed by the inverse of its variance - sensor
-// noise, local contrast times the expected misregistration, a constant model error - and by how well it
-// agrees with what the reference itself saw, as an interval: a saturated reference pixel only says "at
-// least". Saturated samples never contribute a value.
-// `map` is the reference's disparity (world-aligned lat-long, holes filled) or null: merge by rotation
-// alone, disparity unknown.
+// (backward warp), unless hidden there; what is found is weighed by the inverse of its variance -
+// sensor noise, local contrast times the expected misregistration, a constant model error - and by
+// how well it agrees with what the reference itself saw, as an interval: a saturated reference
+// pixel only says "at least". Saturated samples never contribute a value. `map` is the reference's
+// disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone, disparity
+// unknown.
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                       const Image<std::uint8_t>* map_brightness,
                       const std::vector<MergeSource>& others,

@@ -11,9 +11,10 @@ class App;
 
 namespace omnihdr {
 
-// One sub-command of `omnihdr`: adds itself (name, options, help) to the application. When the user calls
-// it, `run` ends up as what to do; its Result decides the exit code (sysexits.h), its value is the exit
-// code of success (0, or a verdict such as "differences found"). Options are owned by the command.
+// One sub-command of `omnihdr`: adds itself (name, options, help) to the application. When the user
+// calls it, `run` ends up as what to do; its Result decides the exit code (sysexits.h), its value
+// is the exit code of success (0, or a verdict such as "differences found"). Options are owned by
+// the command.
 using CommandRun = std::function<Result<int>()>;
 using AddCommand = void (*)(CLI::App& app, CommandRun& run);
 
@@ -24,6 +25,7 @@ void AddSimulateCommand(CLI::App& app, CommandRun& run);
 void AddEvaluateCommand(CLI::App& app, CommandRun& run);
 void AddContactSheetCommand(CLI::App& app, CommandRun& run);
 void AddConfigCommand(CLI::App& app, CommandRun& run);
-void AddControlCommands(CLI::App& app, CommandRun& run);  // status, arm, disarm, trigger, watch, stop
+void AddControlCommands(CLI::App& app,
+                        CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 
 }  // namespace omnihdr

@@ -38,8 +38,10 @@ struct InputFrame {
 Result<InputFrame> ParseInput(const std::string& text) {
   const std::size_t at = text.rfind('@');
   const auto fail = [&text] {
-    return Fail(ErrorKind::kUsage, "{}: expected IMAGE@SECONDS with SECONDS > 0, as in a.png@0.5 or "
-                "a.png@1/60", text);
+    return Fail(ErrorKind::kUsage,
+                "{}: expected IMAGE@SECONDS with SECONDS > 0, as in a.png@0.5 or "
+                "a.png@1/60",
+                text);
   };
   if (at == std::string::npos || at == 0) return fail();
   const auto number = [](std::string_view part, double* value) {
@@ -86,8 +88,8 @@ Result<int> Merge(const MergeArguments& arguments) {
   for (const std::string& text : arguments.images) {
     OMNIHDR_ASSIGN(const InputFrame input, ParseInput(text));
     OMNIHDR_ASSIGN(DecodedImage image, ReadImage(input.file));
-    if (!images.empty() && (image.width() != images.front().width() ||
-                            image.height() != images.front().height())) {
+    if (!images.empty() &&
+        (image.width() != images.front().width() || image.height() != images.front().height())) {
       return Fail(ErrorKind::kData, "{}: {}x{}, expected {}x{} as the first image", input.file,
                   image.width(), image.height(), images.front().width(), images.front().height());
     }
@@ -103,8 +105,9 @@ Result<int> Merge(const MergeArguments& arguments) {
     OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(arguments.mask));
     if (decoded.is_16_bit() || decoded.width() != images.front().width() ||
         decoded.height() != images.front().height()) {
-      return Fail(ErrorKind::kData, "{}: {}x{}, expected an 8-bit picture of the images' size {}x{}",
-                  arguments.mask, decoded.width(), decoded.height(), images.front().width(),
+      return Fail(ErrorKind::kData,
+                  "{}: {}x{}, expected an 8-bit picture of the images' size {}x{}", arguments.mask,
+                  decoded.width(), decoded.height(), images.front().width(),
                   images.front().height());
     }
     const auto& pixels = std::get<Image<std::uint8_t>>(decoded.pixels);

@@ -84,7 +84,8 @@ Result<int> Process(const ProcessArguments& arguments) {
   OMNIHDR_ASSIGN(const PipelineOptions options, OptionsOf(arguments));
   if (arguments.workers > 0) SetWorkerCount(arguments.workers);
   const std::filesystem::path session = arguments.session;
-  const std::filesystem::path out = arguments.out.empty() ? session : std::filesystem::path(arguments.out);
+  const std::filesystem::path out =
+      arguments.out.empty() ? session : std::filesystem::path(arguments.out);
   const std::filesystem::path views = out / "views";
   if (arguments.overwrite) OMNIHDR_TRY(RemoveViews(views));
   OMNIHDR_ASSIGN(const Standing standing, StandingOf(session, views));

@@ -36,7 +36,7 @@ struct PositionScore {
   bool complete = false;                  // has a view
   int frames = 0;                         // that contributed to the view
   int chain = 0;
-  double valid_fraction = 0.0;  // as view.json says
+  double valid_fraction = 0.0;    // as view.json says
   std::optional<double> seconds;  // the view took, when the session has timings
   std::vector<std::string> warnings;
   // Against the reference, where there is one, all on the same pixels: those known in the

@@ -237,7 +237,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
             if (Dot(portal.centre - point, portal.inward) > 0.0F) continue;
             for (int i = 0; i < kPortalSamples; ++i) {
               const float a = static_cast<float>(i % 2) + random.Unit() - 1.0F;
-              const float b = static_cast<float>(i / 2) + random.Unit() - 1.0F;
+              const float b = static_cast<float>(i >> 1) + random.Unit() - 1.0F;
               const Vec3 to = portal.centre + portal.half_u * a + portal.half_v * b - point;
               const float r = Length(to);
               const Vec3 towards = to * (1.0F / r);

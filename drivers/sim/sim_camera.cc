@@ -306,7 +306,7 @@ Status SimCamera::RenderLoop(std::stop_token stop, Stage& stage) {
   return {};
 }
 
-void SimCamera::Develop(const Shot& shot, std::shared_ptr<const Image<float>> radiance) {
+void SimCamera::Develop(const Shot& shot, const std::shared_ptr<const Image<float>>& radiance) {
   const Simulation& simulation = options_.simulation;
   Pending pending;
   CameraFrame& frame = pending.frame;

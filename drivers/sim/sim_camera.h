@@ -91,7 +91,7 @@ class SimCamera final : public Camera {
   std::shared_ptr<const Image<float>> FindCached(double odometer_m) const;     // with mutex_
   void Keep(double odometer_m, std::shared_ptr<const Image<float>> radiance);  // with mutex_
   std::optional<double> NextToRender() const;                                  // with mutex_
-  void Develop(const Shot& shot, std::shared_ptr<const Image<float>> radiance);
+  void Develop(const Shot& shot, const std::shared_ptr<const Image<float>>& radiance);
   void GoAway(std::string reason, std::optional<Nanoseconds> back_after);  // with mutex_
   bool Chance(double probability, const std::vector<std::uint64_t>& listed, TriggerId trigger,
               std::uint64_t salt) const;

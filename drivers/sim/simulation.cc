@@ -143,9 +143,10 @@ Result<Simulation> ParseSimulation(const std::string& json) {
   return s;
 }
 
-std::string FormatTruth(const Simulation& simulation, const Pose& pose, double odometer_m) {
-  const Eigen::Quaterniond& q = pose.rotation;
-  const Eigen::Vector3d& t = pose.translation;
+std::string FormatTruth(const Simulation& simulation, const Pose& world_from_camera,
+                        double odometer_m) {
+  const Eigen::Quaterniond& q = world_from_camera.rotation;
+  const Eigen::Vector3d& t = world_from_camera.translation;
   return Json{{"pose", {{"q", {q.w(), q.x(), q.y(), q.z()}}, {"t", {t.x(), t.y(), t.z()}}}},
               {"scene", ToString(simulation.scene)},
               {"seed", simulation.seed},
