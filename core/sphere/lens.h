@@ -40,17 +40,24 @@ class Lens {
   // `focal` in pixels; `distortion` k1 k2 p1 p2 k3 (pinhole) or k1 … k5 (fisheye). `max_angle`:
   // half the field of view in radians, beyond which a ray has no pixel; pinhole < π/2, fisheye < π.
   // Errors (kData, naming the parameter and what was expected): sizes and focal lengths that are
-  // not positive, values that are not finite, a distortion that folds back within max_angle.
+  // not positive, values that are not finite, a distortion that folds back within max_angle, a
+  // tangential part so large that its inverse could not be promised.
   static Result<Lens> Pinhole(int width, int height, const Eigen::Vector2d& focal,
                               const Eigen::Vector2d& centre,
                               const std::array<double, 5>& distortion, double max_angle);
   static Result<Lens> Fisheye(int width, int height, const Eigen::Vector2d& focal,
                               const Eigen::Vector2d& centre,
                               const std::array<double, 5>& distortion, double max_angle);
-  // focal and centre are those of the rectified picture.
+  // focal and centre are those of the rectified picture. max_angle is that of the outermost node.
+  // Errors besides those above: fewer than 2×2 nodes, no valid node, two grids that are not each
+  // other's inverse (more than 2 pixels, or a quarter of a step when that is more).
   static Result<Lens> Grid(int width, int height, const Eigen::Vector2d& focal,
                            const Eigen::Vector2d& centre, LensGrid raw_from_rectified,
                            LensGrid rectified_from_raw);
+
+  // Largest angle off the axis, at most `limit`, up to which the radial curve rises (by at least a
+  // hundredth of its slope at the axis): what max_angle may be. Not for grids.
+  static double UnfoldedAngle(LensKind kind, const std::array<double, 5>& distortion, double limit);
 
   LensKind kind() const { return kind_; }
   int width() const { return width_; }
@@ -64,7 +71,10 @@ class Lens {
 
   // Image point of a ray of any length; nothing when the ray is outside max_angle or the image.
   std::optional<Eigen::Vector2d> PixelFromRay(const Eigen::Vector3d& ray_in_lens) const;
-  // Unit ray through an image point; nothing where no ray within max_angle lands.
+  // Unit ray through an image point; nothing outside the image and where no ray within max_angle
+  // lands. Inverse of PixelFromRay to rounding (pinhole, fisheye: Newton in a bracket on the radial
+  // curve, which rises within max_angle; so it always converges) and to 1e-9 pixels (grid, where
+  // the sampled maps allow it).
   std::optional<Eigen::Vector3d> RayFromPixel(double x, double y) const;
 
  private:
