@@ -1,0 +1,210 @@
+#include "core/photometry/stitch.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <utility>
+
+#include "core/base/parallel_for.h"
+#include "core/photometry/stitch_kernels.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr int kBlendPiece = 256;  // pixels blended at a time, in scratch memory of a thread
+constexpr std::size_t kMaxBlended = std::tuple_size_v<decltype(StitchSegment::sensors)>;
+
+// A sensor's part in one call.
+struct SensorSource {
+  StitchScale scale;
+  bool is_mosaic = false;
+  // Straight from the bytes.
+  float black = 0.0F;
+  std::uint32_t low = 0;
+  std::uint32_t high = 0;
+};
+
+StitchScale ScaleOf(const RigSensor& sensor) {
+  StitchScale scale;
+  for (std::size_t c = 0; c < 3; ++c) scale.scale[c] = static_cast<float>(sensor.gain[c]);
+  if (sensor.bayer != BayerOrder::kNone) {
+    for (int place = 0; place < 4; ++place) {
+      const int channel = BayerChannel(sensor.bayer, place % 2, place / 2);
+      if (channel == 0) scale.red = place;
+      if (channel == 2) scale.blue = place;
+    }
+  }
+  return scale;
+}
+
+// Where the frame is read from: its bytes, or the merged mosaic.
+struct Source {
+  const std::uint8_t* bytes = nullptr;
+  const RadianceMosaic* mosaic = nullptr;
+  int width = 0;
+  std::vector<SensorSource> sensors;
+
+  void Sample(std::uint8_t sensor, const StitchSamples& samples, float* rgba,
+              std::uint8_t* flags) const {
+    const SensorSource& s = sensors[sensor];
+    if (bytes != nullptr) {
+      StitchBytes(bytes, width, s.black, s.low, s.high, samples, s.scale, rgba, flags);
+    } else if (s.is_mosaic) {
+      StitchMosaic(mosaic->radiance.data(), mosaic->state.data(), width, samples, s.scale, rgba,
+                   flags);
+    } else {
+      const int channels = mosaic->radiance.channels();
+      StitchColour(mosaic->radiance.data(), mosaic->state.data(),
+                   static_cast<std::ptrdiff_t>(width) * channels, channels, samples, s.scale, rgba,
+                   flags);
+    }
+  }
+};
+
+void StitchRow(const StitchTable& table, const Source& source, int y, float* rgba,
+               std::uint8_t* flags) {
+  int done = 0;
+  const auto mask = [&](int until) {
+    std::fill(rgba + 4 * done, rgba + 4 * until, 0.0F);
+    std::fill(flags + done, flags + until, std::uint8_t{kMasked});
+  };
+  alignas(64) std::array<float, 4 * kMaxBlended * kBlendPiece> piece_rgba;
+  alignas(64) std::array<std::uint8_t, kMaxBlended * kBlendPiece> piece_flags;
+  for (const StitchSegment& segment : table.rows[static_cast<std::size_t>(y)]) {
+    mask(segment.x0);
+    const int length = segment.x1 - segment.x0;
+    const auto samples = [&](std::size_t k, int from, int count) {
+      const std::size_t first =
+          segment.first + k * static_cast<std::size_t>(length) + static_cast<std::size_t>(from);
+      return StitchSamples{&table.block[first], &table.packed[first], &table.shade[first], count};
+    };
+    if (segment.count == 1) {
+      source.Sample(segment.sensors[0], samples(0, 0, length), rgba + 4 * segment.x0,
+                    flags + segment.x0);
+    } else {
+      for (int from = 0; from < length; from += kBlendPiece) {
+        const int count = std::min(kBlendPiece, length - from);
+        std::array<const std::uint32_t*, kMaxBlended> packed{};
+        for (std::size_t k = 0; k < segment.count; ++k) {
+          const StitchSamples s = samples(k, from, count);
+          packed[k] = s.packed;
+          const std::size_t at = k * static_cast<std::size_t>(count);
+          source.Sample(segment.sensors[k], s, piece_rgba.data() + 4 * at, piece_flags.data() + at);
+        }
+        BlendSamples(piece_rgba.data(), piece_flags.data(), packed.data(), segment.count, count,
+                     rgba + 4 * (segment.x0 + from), flags + segment.x0 + from);
+      }
+    }
+    done = segment.x1;
+  }
+  mask(table.width);
+}
+
+}  // namespace
+
+Result<Stitcher> Stitcher::Create(Rig rig, const Projection& projection, const StitchMasks& masks) {
+  Stitcher stitcher;
+  OMNIHDR_ASSIGN(stitcher.table_, BuildStitchTable(rig, projection, masks));
+  if (stitcher.table_.covered == 0.0) {
+    return Fail(ErrorKind::kData,
+                "no sensor of the rig sees any of the panorama, expected lenses and masks that "
+                "leave something");
+  }
+  OMNIHDR_ASSIGN(stitcher.rows_, StackedRows(rig));
+  stitcher.rig_ = std::move(rig);
+  stitcher.projection_ = projection;
+  return stitcher;
+}
+
+Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Response> responses,
+                        int bits, const MeasureOptions& options, Measurement* out) {
+  OMNIHDR_TRY(CheckRigFrames(frames, rig_));
+  if (responses.size() != 1 && responses.size() != rig_.sensors.size()) {
+    return Fail(ErrorKind::kSoftware, "{} responses, expected 1 or {}", responses.size(),
+                rig_.sensors.size());
+  }
+  Source source;
+  source.width = frame_width();
+  const auto* bytes = std::get_if<Image<std::uint8_t>>(&frames.front().image->pixels);
+  bool straight = frames.size() == 1 && bytes != nullptr && bytes->channels() == 1;
+  for (const RigSensor& sensor : rig_.sensors) {
+    straight = straight && sensor.bayer != BayerOrder::kNone;
+    source.sensors.push_back({ScaleOf(sensor), sensor.bayer != BayerOrder::kNone});
+  }
+  for (const Response& response : responses) {
+    straight = straight && response.model() == ResponseModel::kLinear;
+  }
+
+  std::vector<MosaicNoise> noise;
+  if (straight) {
+    source.bytes = bytes->data();
+    noise = NoiseOfRigFrames(frames, rig_, responses, bits, options);
+    for (std::size_t s = 0; s < rig_.sensors.size(); ++s) {
+      const Response& response = responses[responses.size() == 1 ? 0 : s];
+      SensorSource& sensor = source.sensors[s];
+      const double seconds = frames.front().ExposureOf(s).EffectiveSeconds();
+      for (std::size_t c = 0; c < 3; ++c) {
+        sensor.scale.scale[c] = static_cast<float>(
+            rig_.sensors[s].gain[c] * response.Slope(static_cast<int>(c), 128.0) / seconds);
+      }
+      sensor.black = static_cast<float>(response.black());
+      sensor.low = static_cast<std::uint32_t>(std::ceil(options.value_low));
+      sensor.high = static_cast<std::uint32_t>(std::floor(options.value_high));
+    }
+  } else {
+    OMNIHDR_TRY(MergeMosaic(frames, rig_, responses, bits, options, &mosaic_));
+    source.mosaic = &mosaic_;
+    noise = mosaic_.noise;
+  }
+
+  if (out->radiance.width() != table_.width || out->radiance.height() != table_.height ||
+      out->radiance.channels() != 4) {
+    out->radiance = Image<float>(table_.width, table_.height, 4);
+    out->flags = Image<std::uint8_t>(table_.width, table_.height);
+  }
+  ParallelFor(table_.height, 8, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      StitchRow(table_, source, y, out->radiance.row(y), out->flags.row(y));
+    }
+  });
+
+  out->projection = projection_;
+  out->saturation = {};
+  out->variance_floor = {};
+  out->variance_per_radiance = {};
+  out->longest_exposure_s = 0.0;
+  out->shortest_exposure_s = noise.front().shortest_exposure_s;
+  for (std::size_t s = 0; s < noise.size(); ++s) {
+    const StitchNoiseGain& gain = table_.noise_gain[s];
+    out->longest_exposure_s = std::max(out->longest_exposure_s, noise[s].longest_exposure_s);
+    out->shortest_exposure_s = std::min(out->shortest_exposure_s, noise[s].shortest_exposure_s);
+    for (std::size_t c = 0; c < 3; ++c) {
+      out->variance_floor[c] += static_cast<float>(gain.floor[c]) * noise[s].variance_floor[c];
+      out->variance_per_radiance[c] +=
+          static_cast<float>(gain.per_radiance[c]) * noise[s].variance_per_radiance[c];
+      out->saturation[c] =
+          std::max(out->saturation[c], noise[s].saturation[c] * table_.largest_shade[s] *
+                                           static_cast<float>(rig_.sensors[s].gain[c]));
+    }
+  }
+  const float b = out->variance_per_radiance[1];
+  out->noise_floor = 0.5F * (b + std::sqrt(b * b + 4.0F * out->variance_floor[1]));
+  return {};
+}
+
+int NaturalPanoramaWidth(const Rig& rig) {
+  double finest = 0.0;  // pixels per radian on the axis
+  bool mosaic = false;
+  for (const RigSensor& sensor : rig.sensors) {
+    const auto centre = sensor.lens.PixelFromRay(Eigen::Vector3d::UnitZ());
+    const auto aside = sensor.lens.PixelFromRay(Eigen::Vector3d(0.01, 0.0, 1.0));
+    const double density =
+        centre && aside ? (*aside - *centre).norm() / 0.01 : sensor.lens.focal().x();
+    finest = std::max(finest, density);
+    mosaic = mosaic || sensor.bayer != BayerOrder::kNone;
+  }
+  const double width = 2.0 * std::numbers::pi * finest * (mosaic ? 0.8 : 1.0);
+  return static_cast<int>(std::clamp(64.0 * std::round(width / 64.0), 256.0, 8192.0));
+}
+
+}  // namespace omnihdr

@@ -1,0 +1,56 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "core/base/result.h"
+#include "core/photometry/measurement.h"
+#include "core/photometry/mosaic.h"
+#include "core/photometry/stitch_table.h"
+
+namespace omnihdr {
+
+// Raw frames of a rig to the measurement of a panorama: counts are linearised and merged at the
+// mosaic, where every value knows whether it clipped; panorama pixels are interpolated from the
+// mosaic colour by colour through tables built once, corrected for vignetting and the sensors'
+// gains, and blended in linear radiance where sensors meet. Laws: a pixel is saturated in a channel
+// when any value of that colour it was made from is, dark when all are; a saturated sample does not
+// enter a blend with one that is not; where no sensor sees, the pixel is masked. The noise of the
+// measurement is the panorama's mean: interpolation lowers it, correction for vignetting raises it
+// towards the sensors' corners, and neighbouring pixels share values, so their noise is not
+// independent. The same bytes on any number of cores. Not thread-safe: a stitcher keeps its scratch
+// memory; uses the worker pool inside.
+class Stitcher {
+ public:
+  // Errors as BuildStitchTable, and where no sensor sees anything of the panorama.
+  static Result<Stitcher> Create(Rig rig, const Projection& projection, const StitchMasks& masks);
+
+  // Frames of one place (one, or a bracket taken standing still) to a measurement. `responses`: one
+  // for all sensors, or one each. `out` is overwritten, its memory used again when it has the
+  // panorama's size. Errors as MergeMosaic.
+  Status Stitch(std::span<const RigFrame> frames, std::span<const Response> responses, int bits,
+                const MeasureOptions& options, Measurement* out);
+
+  const Rig& rig() const { return rig_; }
+  const Projection& projection() const { return projection_; }
+  int frame_width() const { return rig_.sensors.front().lens.width(); }
+  int frame_height() const { return rows_.back(); }
+  // Share of the panorama's pixels that some sensor sees.
+  double covered() const { return table_.covered; }
+
+ private:
+  Stitcher() = default;
+
+  Rig rig_;
+  Projection projection_;
+  std::vector<int> rows_;
+  StitchTable table_;
+  RadianceMosaic mosaic_;
+};
+
+// Width of a lat-long picture that keeps what the sensors resolve on their axes and does not blow
+// it up: four fifths of a sensor pixel's angle a pixel for mosaics, whose colours are sampled at
+// half density, a multiple of 64 in [256, 8192].
+int NaturalPanoramaWidth(const Rig& rig);
+
+}  // namespace omnihdr
