@@ -11,7 +11,8 @@
 namespace omnihdr {
 namespace {
 
-constexpr int kBlendPiece = 256;  // pixels blended at a time, in scratch memory of a thread
+constexpr int kTileWidth = 256;
+constexpr int kTileHeight = 16;
 constexpr std::size_t kMaxBlended = std::tuple_size_v<decltype(StitchSegment::sensors)>;
 
 // A sensor's part in one call.
@@ -27,13 +28,6 @@ struct SensorSource {
 StitchScale ScaleOf(const RigSensor& sensor) {
   StitchScale scale;
   for (std::size_t c = 0; c < 3; ++c) scale.scale[c] = static_cast<float>(sensor.gain[c]);
-  if (sensor.bayer != BayerOrder::kNone) {
-    for (int place = 0; place < 4; ++place) {
-      const int channel = BayerChannel(sensor.bayer, place % 2, place / 2);
-      if (channel == 0) scale.red = place;
-      if (channel == 2) scale.blue = place;
-    }
-  }
   return scale;
 }
 
@@ -61,43 +55,46 @@ struct Source {
   }
 };
 
-void StitchRow(const StitchTable& table, const Source& source, int y, float* rgba,
-               std::uint8_t* flags) {
-  int done = 0;
+// Columns [begin, end) of row y.
+void StitchPiece(const StitchTable& table, const Source& source, int y, int begin, int end,
+                 Measurement* out) {
+  float* rgba = out->radiance.row(y);
+  std::uint8_t* flags = out->flags.row(y);
+  int done = begin;
   const auto mask = [&](int until) {
     std::fill(rgba + 4 * done, rgba + 4 * until, 0.0F);
     std::fill(flags + done, flags + until, std::uint8_t{kMasked});
   };
-  alignas(64) std::array<float, 4 * kMaxBlended * kBlendPiece> piece_rgba;
-  alignas(64) std::array<std::uint8_t, kMaxBlended * kBlendPiece> piece_flags;
+  alignas(64) std::array<float, 4 * kMaxBlended * kTileWidth> piece_rgba;
+  alignas(64) std::array<std::uint8_t, kMaxBlended * kTileWidth> piece_flags;
   for (const StitchSegment& segment : table.rows[static_cast<std::size_t>(y)]) {
-    mask(segment.x0);
-    const int length = segment.x1 - segment.x0;
-    const auto samples = [&](std::size_t k, int from, int count) {
-      const std::size_t first =
-          segment.first + k * static_cast<std::size_t>(length) + static_cast<std::size_t>(from);
+    if (segment.x1 <= begin) continue;
+    if (segment.x0 >= end) break;
+    const int x0 = std::max(begin, segment.x0);
+    const int count = std::min(end, segment.x1) - x0;
+    mask(x0);
+    const auto samples = [&](std::size_t k) {
+      const std::size_t first = segment.first +
+                                k * static_cast<std::size_t>(segment.x1 - segment.x0) +
+                                static_cast<std::size_t>(x0 - segment.x0);
       return StitchSamples{&table.block[first], &table.packed[first], &table.shade[first], count};
     };
     if (segment.count == 1) {
-      source.Sample(segment.sensors[0], samples(0, 0, length), rgba + 4 * segment.x0,
-                    flags + segment.x0);
+      source.Sample(segment.sensors[0], samples(0), rgba + 4 * x0, flags + x0);
     } else {
-      for (int from = 0; from < length; from += kBlendPiece) {
-        const int count = std::min(kBlendPiece, length - from);
-        std::array<const std::uint32_t*, kMaxBlended> packed{};
-        for (std::size_t k = 0; k < segment.count; ++k) {
-          const StitchSamples s = samples(k, from, count);
-          packed[k] = s.packed;
-          const std::size_t at = k * static_cast<std::size_t>(count);
-          source.Sample(segment.sensors[k], s, piece_rgba.data() + 4 * at, piece_flags.data() + at);
-        }
-        BlendSamples(piece_rgba.data(), piece_flags.data(), packed.data(), segment.count, count,
-                     rgba + 4 * (segment.x0 + from), flags + segment.x0 + from);
+      std::array<const std::uint32_t*, kMaxBlended> packed{};
+      for (std::size_t k = 0; k < segment.count; ++k) {
+        const StitchSamples s = samples(k);
+        packed[k] = s.packed;
+        const std::size_t at = k * static_cast<std::size_t>(count);
+        source.Sample(segment.sensors[k], s, piece_rgba.data() + 4 * at, piece_flags.data() + at);
       }
+      BlendSamples(piece_rgba.data(), piece_flags.data(), packed.data(), segment.count, count,
+                   rgba + 4 * x0, flags + x0);
     }
-    done = segment.x1;
+    done = x0 + count;
   }
-  mask(table.width);
+  mask(end);
 }
 
 }  // namespace
@@ -162,9 +159,18 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
     out->radiance = Image<float>(table_.width, table_.height, 4);
     out->flags = Image<std::uint8_t>(table_.width, table_.height);
   }
-  ParallelFor(table_.height, 8, [&](int begin, int end) {
-    for (int y = begin; y < end; ++y) {
-      StitchRow(table_, source, y, out->radiance.row(y), out->flags.row(y));
+  // In tiles: a row of the panorama runs down the columns of sensors that lie on their sides, and
+  // its neighbours need the same lines of the cache.
+  const int stripes = (table_.height + kTileHeight - 1) / kTileHeight;
+  ParallelFor(stripes, 1, [&](int begin, int end) {
+    for (int stripe = begin; stripe < end; ++stripe) {
+      const int y0 = stripe * kTileHeight;
+      const int y1 = std::min(y0 + kTileHeight, table_.height);
+      for (int x0 = 0; x0 < table_.width; x0 += kTileWidth) {
+        for (int y = y0; y < y1; ++y) {
+          StitchPiece(table_, source, y, x0, std::min(x0 + kTileWidth, table_.width), out);
+        }
+      }
     }
   });
 

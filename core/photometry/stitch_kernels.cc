@@ -25,12 +25,6 @@ using VF = hn::Vec<F>;
 using VU = hn::Vec<U>;
 using VI = hn::Vec<I>;
 
-// Four bytes at `bytes` + offset, unaligned.
-HWY_INLINE VU GatherBytes(const std::uint8_t* bytes, VI offset) {
-  const U du;
-  return hn::GatherOffset(du, reinterpret_cast<const std::uint32_t*>(bytes), offset);
-}
-
 // The larger of each byte of the words.
 HWY_INLINE VU MaxBytes(VU a, VU b) {
 #if HWY_TARGET == HWY_SCALAR
@@ -45,50 +39,30 @@ HWY_INLINE VU MaxBytes(VU a, VU b) {
 #endif
 }
 
-// The four values of a row of the block, and those values' states or counts as bytes of a word.
-struct ByteRows {
-  const std::uint8_t* base;
-  std::ptrdiff_t stride;
-  VI offset;
+// Pixels prepared at a time. Plain loads into a buffer are faster than the gather instructions of
+// today's processors, and with a batch the reads do not wait for the writes.
+constexpr int kBatch = 64;
+static_assert(kBatch <= static_cast<int>(kStitchPadding));
 
-  HWY_INLINE VU Word(int row) const { return GatherBytes(base + row * stride, offset); }
-  HWY_INLINE void Values(int /*row*/, VU word, VF (&value)[4]) const {
-    const F d;
-    const I di;
-    const U du;
-    const VU mask = hn::Set(du, 255U);
-    value[0] = hn::ConvertTo(d, hn::BitCast(di, hn::And(word, mask)));
-    value[1] = hn::ConvertTo(d, hn::BitCast(di, hn::And(hn::ShiftRight<8>(word), mask)));
-    value[2] = hn::ConvertTo(d, hn::BitCast(di, hn::And(hn::ShiftRight<16>(word), mask)));
-    value[3] = hn::ConvertTo(d, hn::BitCast(di, hn::ShiftRight<24>(word)));
+// Rows of the blocks as words of four bytes: word[row][pixel].
+HWY_INLINE void GatherWords(const std::uint8_t* bytes, std::ptrdiff_t stride,
+                            const std::uint32_t* block, int count, std::uint32_t (*word)[kBatch]) {
+  for (int k = 0; k < count; ++k) {
+    const std::uint8_t* from = bytes + block[k];
+    asm volatile("" : "+r"(from));
+    for (int row = 0; row < 4; ++row) {
+      std::memcpy(&word[row][k], from + row * stride, sizeof(std::uint32_t));
+    }
   }
+}
+
+// Weights of the block's columns and rows: values of one place of the tile are two pixels apart.
+struct Weights {
+  VF x[4];
+  VF y[4];
 };
 
-struct MosaicRows {
-  const float* radiance;
-  const std::uint8_t* state;
-  std::ptrdiff_t stride;
-  VI offset;
-
-  HWY_INLINE VU Word(int row) const { return GatherBytes(state + row * stride, offset); }
-  HWY_INLINE void Values(int row, VU /*word*/, VF (&value)[4]) const {
-    const F d;
-    const float* from = radiance + row * stride;
-    value[0] = hn::GatherIndex(d, from, offset);
-    value[1] = hn::GatherIndex(d, from + 1, offset);
-    value[2] = hn::GatherIndex(d, from + 2, offset);
-    value[3] = hn::GatherIndex(d, from + 3, offset);
-  }
-};
-
-struct Planes {
-  VF value[4];  // of the tile's places, row by row
-  VU most[4];   // largest byte of those taken
-};
-
-// The tile's four places, each bilinear at its own density.
-template <typename Rows>
-HWY_INLINE Planes Interpolate(const Rows& rows, VU packed) {
+HWY_INLINE Weights WeightsOf(VU packed) {
   const F d;
   const I di;
   const U du;
@@ -96,56 +70,113 @@ HWY_INLINE Planes Interpolate(const Rows& rows, VU packed) {
   const VF half = hn::Set(d, 0.5F);
   const VF step = hn::Set(d, 1.0F / 512.0F);
   const VU byte = hn::Set(du, 255U);
-  // Half the fraction: the distance between values of one place is two pixels.
   const VF hx = hn::Mul(hn::ConvertTo(d, hn::BitCast(di, hn::And(packed, byte))), step);
   const VF hy =
       hn::Mul(hn::ConvertTo(d, hn::BitCast(di, hn::And(hn::ShiftRight<8>(packed), byte))), step);
-  const VF wx[4] = {hn::Sub(half, hx), hn::Sub(one, hx), hn::Add(half, hx), hx};
-  const VF wy[4] = {hn::Sub(half, hy), hn::Sub(one, hy), hn::Add(half, hy), hy};
+  return {{hn::Sub(half, hx), hn::Sub(one, hx), hn::Add(half, hx), hx},
+          {hn::Sub(half, hy), hn::Sub(one, hy), hn::Add(half, hy), hy}};
+}
 
-  VF sum[4];   // [row place][column place]
-  VU most[2];  // of rows 0, 2 and 1, 3: columns in bytes
+// By the block's places, row by row: the interpolated value, and the largest byte of those taken.
+struct Planes {
+  VF value[4];
+  VU most[4];
+};
+
+HWY_INLINE void MostOf(const VU (&word)[4], VU (&most)[4]) {
+  const VU byte = hn::Set(U(), 255U);
+  for (int row = 0; row < 2; ++row) {
+    const VU columns = MaxBytes(word[row], word[row + 2]);
+    const VU folded = MaxBytes(columns, hn::ShiftRight<16>(columns));
+    most[2 * row] = hn::And(folded, byte);
+    most[2 * row + 1] = hn::And(hn::ShiftRight<8>(folded), byte);
+  }
+}
+
+HWY_INLINE void ValuesOfBytes(const VU (&word)[4], VU packed, VF (&value)[4]) {
+  const F d;
+  const I di;
+  const VU byte = hn::Set(U(), 255U);
+  const Weights w = WeightsOf(packed);
+  const auto to_float = [&](VU v) HWY_ATTR { return hn::ConvertTo(d, hn::BitCast(di, v)); };
   for (int row = 0; row < 4; ++row) {
-    const VU word = rows.Word(row);
-    VF value[4];
-    rows.Values(row, word, value);
-    const VF a = hn::MulAdd(wx[2], value[2], hn::Mul(wx[0], value[0]));
-    const VF b = hn::MulAdd(wx[3], value[3], hn::Mul(wx[1], value[1]));
-    const int place = row & 1;
-    if (row < 2) {
-      sum[2 * place] = hn::Mul(wy[row], a);
-      sum[2 * place + 1] = hn::Mul(wy[row], b);
-      most[place] = word;
-    } else {
-      sum[2 * place] = hn::MulAdd(wy[row], a, sum[2 * place]);
-      sum[2 * place + 1] = hn::MulAdd(wy[row], b, sum[2 * place + 1]);
-      most[place] = MaxBytes(most[place], word);
+    const VF c0 = to_float(hn::And(word[row], byte));
+    const VF c1 = to_float(hn::And(hn::ShiftRight<8>(word[row]), byte));
+    const VF c2 = to_float(hn::And(hn::ShiftRight<16>(word[row]), byte));
+    const VF c3 = to_float(hn::ShiftRight<24>(word[row]));
+    const VF a = hn::MulAdd(w.x[2], c2, hn::Mul(w.x[0], c0));
+    const VF b = hn::MulAdd(w.x[3], c3, hn::Mul(w.x[1], c1));
+    const int place = 2 * (row & 1);
+    value[place] = row < 2 ? hn::Mul(w.y[row], a) : hn::MulAdd(w.y[row], a, value[place]);
+    value[place + 1] = row < 2 ? hn::Mul(w.y[row], b) : hn::MulAdd(w.y[row], b, value[place + 1]);
+  }
+}
+
+// The interpolated values of a batch's places, four to a pixel.
+HWY_INLINE void ValuesOfMosaic(const float* radiance, std::ptrdiff_t stride,
+                               const StitchSamples& samples, int x, int count, float* values) {
+  const F d;
+  const U du;
+  HWY_ALIGN float wx[4 * kBatch];
+  HWY_ALIGN float wy[4 * kBatch];
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  for (int k = 0; k < count; k += lanes) {
+    const Weights w = WeightsOf(hn::LoadU(du, samples.packed + x + k));
+    hn::StoreInterleaved4(w.x[0], w.x[1], w.x[2], w.x[3], d, wx + 4 * k);
+    hn::StoreInterleaved4(w.y[0], w.y[1], w.y[2], w.y[3], d, wy + 4 * k);
+  }
+  for (int k = 0; k < count; ++k) {
+    const float* from = radiance + samples.block[x + k];
+    const float* y = wy + 4 * k;
+#if HWY_TARGET == HWY_SCALAR
+    for (int place = 0; place < 4; ++place) {
+      const int row = place / 2;
+      const int column = place % 2;
+      const auto at = [&](int r) {
+        const float* p = from + r * stride + column;
+        return wx[4 * k + column] * p[0] + wx[4 * k + column + 2] * p[2];
+      };
+      values[4 * k + place] = y[row] * at(row) + y[row + 2] * at(row + 2);
     }
+#else
+    const hn::Simd<float, 4, 0> d4;
+    const auto columns = hn::Load(d4, wx + 4 * k);
+    const auto rows = [&](int row) HWY_ATTR {
+      const auto upper = hn::Mul(hn::Set(d4, y[row]), hn::LoadU(d4, from + row * stride));
+      return hn::Mul(columns, hn::MulAdd(hn::Set(d4, y[row + 2]),
+                                         hn::LoadU(d4, from + (row + 2) * stride), upper));
+    };
+    const auto a = rows(0);
+    const auto b = rows(1);
+    // Columns 0 + 2 and 1 + 3 of both.
+    hn::Store(hn::Add(hn::ConcatLowerLower(d4, b, a), hn::ConcatUpperUpper(d4, b, a)), d4,
+              values + 4 * k);
+#endif
   }
-  VU byte_most[4];
-  for (int place = 0; place < 2; ++place) {
-    const VU folded = MaxBytes(most[place], hn::ShiftRight<16>(most[place]));
-    byte_most[2 * place] = hn::And(folded, byte);
-    byte_most[2 * place + 1] = hn::And(hn::ShiftRight<8>(folded), byte);
-  }
-  // From places in the block to places in the tile.
+}
+
+// From places in the block to those of the tile: red, green, green, blue.
+HWY_INLINE Planes ByTile(const Planes& block, VU packed) {
+  const F d;
+  const I di;
+  const U du;
   const auto odd_column = hn::MaskFromVec(
       hn::BitCast(d, hn::BroadcastSignBit(hn::BitCast(di, hn::ShiftLeft<1>(packed)))));
   const auto odd_row =
       hn::MaskFromVec(hn::BitCast(d, hn::BroadcastSignBit(hn::BitCast(di, packed))));
-  Planes planes;
-  VF column_value[4];
-  VF column_most[4];
+  Planes columns;
+  Planes tile;
   for (int k = 0; k < 4; ++k) {
-    column_value[k] = hn::IfThenElse(odd_column, sum[k ^ 1], sum[k]);
-    column_most[k] =
-        hn::IfThenElse(odd_column, hn::BitCast(d, byte_most[k ^ 1]), hn::BitCast(d, byte_most[k]));
+    columns.value[k] = hn::IfThenElse(odd_column, block.value[k ^ 1], block.value[k]);
+    columns.most[k] =
+        hn::IfThenElse(hn::RebindMask(du, odd_column), block.most[k ^ 1], block.most[k]);
   }
   for (int k = 0; k < 4; ++k) {
-    planes.value[k] = hn::IfThenElse(odd_row, column_value[k ^ 2], column_value[k]);
-    planes.most[k] = hn::BitCast(du, hn::IfThenElse(odd_row, column_most[k ^ 2], column_most[k]));
+    tile.value[k] = hn::IfThenElse(odd_row, columns.value[k ^ 2], columns.value[k]);
+    tile.most[k] =
+        hn::IfThenElse(hn::RebindMask(du, odd_row), columns.most[k ^ 2], columns.most[k]);
   }
-  return planes;
+  return tile;
 }
 
 struct Limits {
@@ -165,50 +196,77 @@ HWY_INLINE VU FlagBits(VU most, VU low, VU high, std::uint32_t saturated, std::u
                 hn::IfThenElseZero(below, hn::Set(du, dark)));
 }
 
-template <typename MakeRows>
-HWY_INLINE void StitchAll(const MakeRows& make_rows, const Limits& limits,
-                          const StitchSamples& samples, const StitchScale& scale, float* rgba,
-                          std::uint8_t* flags) {
+// Colours, scale and flags of a vector of pixels.
+class Finisher {
+ public:
+  HWY_INLINE Finisher(const Limits& limits, const StitchScale& scale)
+      : limits_(limits), scale_(scale) {}
+
+  HWY_INLINE void Write(const Planes& block, VU packed, VF shade, float* rgba,
+                        std::uint8_t* flags) const {
+    const F d;
+    const U du;
+    const I di;
+    const hn::Rebind<std::uint8_t, I> d8;
+    const Planes planes = ByTile(block, packed);
+    const VF green = hn::Mul(hn::Set(d, 0.5F), hn::Add(planes.value[1], planes.value[2]));
+    const auto radiance = [&](VF value, float factor) HWY_ATTR {
+      return hn::Mul(hn::Max(hn::Sub(value, hn::Set(d, limits_.black)), hn::Set(d, limits_.least)),
+                     hn::Mul(shade, hn::Set(d, factor)));
+    };
+    const VU low = hn::Set(du, limits_.low);
+    const VU high = hn::Set(du, limits_.high);
+    const VU most_green = hn::Max(planes.most[1], planes.most[2]);
+    const VU bits = hn::Or(FlagBits(planes.most[0], low, high, kSaturatedR, kDarkR),
+                           hn::Or(FlagBits(most_green, low, high, kSaturatedG, kDarkG),
+                                  FlagBits(planes.most[3], low, high, kSaturatedB, kDarkB)));
+    const VF usable =
+        hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(bits, hn::Zero(du))), hn::Set(d, 1.0F));
+    hn::StoreInterleaved4(radiance(planes.value[0], scale_.scale[0]),
+                          radiance(green, scale_.scale[1]),
+                          radiance(planes.value[3], scale_.scale[2]), usable, d, rgba);
+    hn::StoreU(hn::DemoteTo(d8, hn::BitCast(di, bits)), d8, flags);
+  }
+
+ private:
+  const Limits limits_;
+  const StitchScale scale_;
+};
+
+// `fill` prepares a batch from its first pixel on; `values` gives the planes' values of the vector
+// that begins at a pixel of the batch.
+template <typename Fill, typename Values>
+HWY_INLINE void StitchAll(const std::uint8_t* bytes, std::ptrdiff_t stride, const Fill& fill,
+                          const Values& values, const Finisher& finisher,
+                          const StitchSamples& samples, float* rgba, std::uint8_t* flags) {
   const F d;
   const U du;
-  const I di;
-  const hn::Rebind<std::uint8_t, I> d8;
   const int lanes = static_cast<int>(hn::Lanes(d));
-  const VU low = hn::Set(du, limits.low);
-  const VU high = hn::Set(du, limits.high);
-  const VF black = hn::Set(d, limits.black);
-  const VF least = hn::Set(d, limits.least);
-  const VF half = hn::Set(d, 0.5F);
-  const VF one = hn::Set(d, 1.0F);
-  const int green_1 = scale.red == 0 || scale.red == 3 ? 1 : 0;
-  const int green_2 = 3 - green_1;
+  HWY_ALIGN std::uint32_t words[4][kBatch];
   HWY_ALIGN float tail_rgba[4 * HWY_MAX_BYTES / sizeof(float)];
   HWY_ALIGN std::uint8_t tail_flags[HWY_MAX_BYTES];
-  for (int x = 0; x < samples.count; x += lanes) {
-    const VU packed = hn::LoadU(du, samples.packed + x);
-    const VI offset = hn::BitCast(di, hn::LoadU(du, samples.block + x));
-    const VF shade = hn::LoadU(d, samples.shade + x);
-    const Planes planes = Interpolate(make_rows(offset), packed);
-    const VF green = hn::Mul(half, hn::Add(planes.value[green_1], planes.value[green_2]));
-    const auto radiance = [&](VF value, float factor) HWY_ATTR {
-      return hn::Mul(hn::Max(hn::Sub(value, black), least), hn::Mul(shade, hn::Set(d, factor)));
-    };
-    const VF r = radiance(planes.value[scale.red], scale.scale[0]);
-    const VF g = radiance(green, scale.scale[1]);
-    const VF b = radiance(planes.value[scale.blue], scale.scale[2]);
-    const VU most_green = hn::Max(planes.most[green_1], planes.most[green_2]);
-    const VU bits =
-        hn::Or(FlagBits(planes.most[scale.red], low, high, kSaturatedR, kDarkR),
-               hn::Or(FlagBits(most_green, low, high, kSaturatedG, kDarkG),
-                      FlagBits(planes.most[scale.blue], low, high, kSaturatedB, kDarkB)));
-    const VF usable = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(bits, hn::Zero(du))), one);
-    const bool whole = x + lanes <= samples.count;
-    hn::StoreInterleaved4(r, g, b, usable, d, whole ? rgba + 4 * x : tail_rgba);
-    hn::StoreU(hn::DemoteTo(d8, hn::BitCast(di, bits)), d8, whole ? flags + x : tail_flags);
-    if (!whole) {
-      const auto rest = static_cast<std::size_t>(samples.count - x);
-      std::memcpy(rgba + 4 * x, tail_rgba, 4 * rest * sizeof(float));
-      std::memcpy(flags + x, tail_flags, rest);
+  for (int first = 0; first < samples.count; first += kBatch) {
+    const int end = std::min(samples.count, first + kBatch);
+    const int whole_vectors = (end - first + lanes - 1) / lanes * lanes;
+    GatherWords(bytes, stride, samples.block + first, whole_vectors, words);
+    fill(first, whole_vectors);
+    for (int x = first; x < end; x += lanes) {
+      const VU packed = hn::LoadU(du, samples.packed + x);
+      const VU word[4] = {
+          hn::Load(du, words[0] + (x - first)), hn::Load(du, words[1] + (x - first)),
+          hn::Load(du, words[2] + (x - first)), hn::Load(du, words[3] + (x - first))};
+      Planes planes;
+      MostOf(word, planes.most);
+      values(x - first, word, packed, planes.value);
+      const VF shade = hn::LoadU(d, samples.shade + x);
+      if (x + lanes <= samples.count) {
+        finisher.Write(planes, packed, shade, rgba + 4 * x, flags + x);
+      } else {
+        finisher.Write(planes, packed, shade, tail_rgba, tail_flags);
+        const auto rest = static_cast<std::size_t>(samples.count - x);
+        std::memcpy(rgba + 4 * x, tail_rgba, 4 * rest * sizeof(float));
+        std::memcpy(flags + x, tail_flags, rest);
+      }
     }
   }
 }
@@ -216,21 +274,25 @@ HWY_INLINE void StitchAll(const MakeRows& make_rows, const Limits& limits,
 void StitchMosaicRow(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
                      const StitchSamples& samples, const StitchScale& scale, float* rgba,
                      std::uint8_t* flags) {
+  HWY_ALIGN float batch[4 * kBatch];
   StitchAll(
-      [&](VI offset) HWY_ATTR {
-        return MosaicRows{radiance, state, stride, offset};
+      state, stride,
+      [&](int first, int count)
+          HWY_ATTR { ValuesOfMosaic(radiance, stride, samples, first, count, batch); },
+      [&](int k, const VU(&)[4], VU, VF(&value)[4]) HWY_ATTR {
+        hn::LoadInterleaved4(F(), batch + 4 * k, value[0], value[1], value[2], value[3]);
       },
-      Limits{}, samples, scale, rgba, flags);
+      Finisher(Limits{}, scale), samples, rgba, flags);
 }
 
 void StitchBytesRow(const std::uint8_t* bytes, std::ptrdiff_t stride, float black,
                     std::uint32_t low, std::uint32_t high, const StitchSamples& samples,
                     const StitchScale& scale, float* rgba, std::uint8_t* flags) {
   StitchAll(
-      [&](VI offset) HWY_ATTR {
-        return ByteRows{bytes, stride, offset};
-      },
-      Limits{low, high, black, 0.25F}, samples, scale, rgba, flags);
+      bytes, stride, [](int, int) {},
+      [](int, const VU(&word)[4], VU packed, VF(&value)[4])
+          HWY_ATTR { ValuesOfBytes(word, packed, value); },
+      Finisher(Limits{low, high, black, 0.25F}, scale), samples, rgba, flags);
 }
 
 }  // namespace HWY_NAMESPACE

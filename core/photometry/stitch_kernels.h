@@ -18,10 +18,6 @@ struct StitchSamples {
 // How a sensor's values become radiance: channel c of a pixel is scale[c]·shade·value.
 struct StitchScale {
   std::array<float, 3> scale{};
-  // Which of the tile's places (0 top left, 1 top right, 2 bottom left, 3 bottom right) holds red
-  // and blue; the others are green.
-  int red = 0;
-  int blue = 3;
 };
 
 // Writes R, G, B, usable (Measurement) and flags (PixelFlag) of every sample. All run on the best

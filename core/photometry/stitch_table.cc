@@ -179,6 +179,8 @@ struct Eye {
   Eigen::Vector3d axis_in_camera;
   double least_cosine = -1.0;
   std::uint32_t first = 0;  // index of its first value in the stacked frame
+  int red_x = 0;            // place of red in the tile
+  int red_y = 0;
 };
 
 struct Sample {
@@ -220,8 +222,8 @@ std::optional<Sample> SampleOf(const Eye& eye, int stack_width, const Eigen::Vec
   };
   s.block = eye.first + static_cast<std::uint32_t>((j - 1) * stack_width + i - 1);
   s.packed = fraction(x - i) | fraction(y - j) << 8U |
-             static_cast<std::uint32_t>((i - 1) & 1) << 30U |
-             static_cast<std::uint32_t>((j - 1) & 1) << 31U;
+             static_cast<std::uint32_t>((i - 1 - eye.red_x) & 1) << 30U |
+             static_cast<std::uint32_t>((j - 1 - eye.red_y) & 1) << 31U;
   const double rho = (*pixel - eye.centre).norm() / eye.half_diagonal;
   s.shade = static_cast<float>(1.0 / eye.sensor->vignetting.At(rho));
   return s;
@@ -267,12 +269,10 @@ std::array<double, 3> SquaredWeights(BayerOrder bayer, std::uint32_t packed) {
   const std::array<double, 2> sx = {(1 + fx * fx) / 2, 1 - fx + fx * fx / 2};
   const std::array<double, 2> sy = {(1 + fy * fy) / 2, 1 - fy + fy * fy / 2};
   std::array<double, 3> sum{};
-  for (int row = 0; row < 2; ++row) {
-    for (int column = 0; column < 2; ++column) {
-      const int c = BayerChannel(bayer, column + static_cast<int>(packed >> 30U & 1U),
-                                 row + static_cast<int>(packed >> 31U));
-      const double s = sx[static_cast<std::size_t>(column)] * sy[static_cast<std::size_t>(row)];
-      sum[static_cast<std::size_t>(c)] += c == 1 ? 0.25 * s : s;
+  for (std::size_t row = 0; row < 2; ++row) {
+    for (std::size_t column = 0; column < 2; ++column) {
+      const std::size_t c = (column ^ (packed >> 30U & 1U)) + (row ^ packed >> 31U);
+      sum[c] += (c == 1 ? 0.25 : 1.0) * sx[column] * sy[row];
     }
   }
   return sum;
@@ -380,6 +380,12 @@ Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projectio
     eye.axis_in_camera = sensor.camera_from_sensor.rotation * Eigen::Vector3d::UnitZ();
     eye.least_cosine = std::cos(std::min(sensor.lens.max_angle() + 1e-6, std::numbers::pi));
     eye.first = static_cast<std::uint32_t>(stacked[s]) * static_cast<std::uint32_t>(stack_width);
+    if (sensor.bayer != BayerOrder::kNone) {
+      while (BayerChannel(sensor.bayer, eye.red_x, eye.red_y) != 0) {
+        eye.red_y += eye.red_x;
+        eye.red_x ^= 1;
+      }
+    }
     eyes.push_back(std::move(eye));
   }
 
