@@ -329,6 +329,12 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(pipeline.options.orientation)));
   add(Whole("output.preview_quality", "a whole number", 1, 100,
             OMNIHDR_MEMBER(pipeline.options.preview_quality)));
+  add(Choice("output.preview_tonemap",
+             std::vector{ToneOperator::kReinhard, ToneOperator::kReinhardLocal,
+                         ToneOperator::kDrago, ToneOperator::kDurand},
+             OMNIHDR_MEMBER(pipeline.options.preview.tone_operator)));
+  add(Number("output.preview_exposure_stops", "stops", -20, 20,
+             OMNIHDR_MEMBER(pipeline.options.preview.exposure_stops)));
 
   add(Number("photometry.value_low", "8-bit code values", 0, 127,
              OMNIHDR_MEMBER(pipeline.options.value_low)));

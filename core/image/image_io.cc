@@ -146,19 +146,39 @@ Result<std::vector<std::byte>> EncodePngOf(ImageView<const T> image, int compres
   return Encode(".png", ToBgrMat(image), {cv::IMWRITE_PNG_COMPRESSION, compression});
 }
 
-// XMP packet of a full spherical panorama (Google Photo Sphere XMP metadata), as an APP1 segment.
-std::vector<std::byte> PanoramaSegment(int width, int height) {
+bool Holds(const PhotoSphere& sphere, int width, int height) {
+  const auto within = [](const std::optional<double>& angle, double low, double high) {
+    return !angle || (*angle >= low && *angle <= high);
+  };
+  return sphere.left >= 0 && sphere.top >= 0 && sphere.left + width <= sphere.full_width &&
+         sphere.top + height <= sphere.full_height && within(sphere.heading_deg, 0.0, 360.0) &&
+         sphere.heading_deg != 360.0 && within(sphere.pitch_deg, -90.0, 90.0) &&
+         within(sphere.roll_deg, -180.0, 180.0);
+}
+
+// XMP packet of a spherical panorama (Google Photo Sphere XMP metadata), as an APP1 segment.
+std::vector<std::byte> PanoramaSegment(int width, int height, const PhotoSphere& sphere) {
+  std::optional<double> heading = sphere.heading_deg;
+  if (heading && *heading >= 359.9995) heading = 0.0;  // would be written as 360.000
+  std::string pose;
+  for (const auto& [name, angle] :
+       {std::pair{"Heading", heading}, std::pair{"Pitch", sphere.pitch_deg},
+        std::pair{"Roll", sphere.roll_deg}}) {
+    if (angle) pose += fmt::format(" GPano:Pose{}Degrees=\"{:.3f}\"", name, *angle);
+  }
   const std::string xml = fmt::format(
       "<?xpacket begin=\"\xEF\xBB\xBF\" id=\"W5M0MpCehiHzreSzNTczkc9d\"?>"
       "<x:xmpmeta xmlns:x=\"adobe:ns:meta/\">"
       "<rdf:RDF xmlns:rdf=\"http://www.w3.org/1999/02/22-rdf-syntax-ns#\">"
       "<rdf:Description rdf:about=\"\" xmlns:GPano=\"http://ns.google.com/photos/1.0/panorama/\""
       " GPano:UsePanoramaViewer=\"True\" GPano:ProjectionType=\"equirectangular\""
-      " GPano:CroppedAreaImageWidthPixels=\"{0}\" GPano:CroppedAreaImageHeightPixels=\"{1}\""
-      " GPano:FullPanoWidthPixels=\"{0}\" GPano:FullPanoHeightPixels=\"{1}\""
-      " GPano:CroppedAreaLeftPixels=\"0\" GPano:CroppedAreaTopPixels=\"0\"/>"
+      " GPano:StitchingSoftware=\"omnihdr " OMNIHDR_VERSION
+      "\""
+      " GPano:CroppedAreaImageWidthPixels=\"{}\" GPano:CroppedAreaImageHeightPixels=\"{}\""
+      " GPano:FullPanoWidthPixels=\"{}\" GPano:FullPanoHeightPixels=\"{}\""
+      " GPano:CroppedAreaLeftPixels=\"{}\" GPano:CroppedAreaTopPixels=\"{}\"{}/>"
       "</rdf:RDF></x:xmpmeta><?xpacket end=\"w\"?>",
-      width, height);
+      width, height, sphere.full_width, sphere.full_height, sphere.left, sphere.top, pose);
   static constexpr char kNamespace[] = "http://ns.adobe.com/xap/1.0/";
   const std::size_t length = 2 + sizeof(kNamespace) + xml.size();
   std::vector<std::byte> segment = {std::byte{0xFF}, std::byte{0xE1},
@@ -241,16 +261,26 @@ Result<std::vector<std::byte>> EncodePng(ImageView<const std::uint16_t> image, i
   return EncodePngOf(image, compression);
 }
 
-Result<std::vector<std::byte>> EncodeJpeg(ImageView<const std::uint8_t> image, int quality,
-                                          bool panorama) {
+namespace {
+
+Result<std::vector<std::byte>> EncodeJpegOf(ImageView<const std::uint8_t> image, int quality,
+                                            const PhotoSphere* sphere) {
   if (image.empty() || (image.channels() != 1 && image.channels() != 3)) {
     return Fail(ErrorKind::kSoftware, "JPEG: {}x{} with {} channels, expected 1 or 3 channels",
                 image.width(), image.height(), image.channels());
   }
+  if (sphere != nullptr && !Holds(*sphere, image.width(), image.height())) {
+    return Fail(
+        ErrorKind::kSoftware,
+        "JPEG: {}x{} at column {}, row {} of a sphere of {}x{}: does not fit, or the angles "
+        "of its centre are out of range",
+        image.width(), image.height(), sphere->left, sphere->top, sphere->full_width,
+        sphere->full_height);
+  }
   OMNIHDR_ASSIGN(std::vector<std::byte> jpeg,
                  Encode(".jpg", ToBgrMat(image), {cv::IMWRITE_JPEG_QUALITY, quality}));
-  if (panorama) {
-    const std::vector<std::byte> segment = PanoramaSegment(image.width(), image.height());
+  if (sphere != nullptr) {
+    const std::vector<std::byte> segment = PanoramaSegment(image.width(), image.height(), *sphere);
     // After SOI and the JFIF segment, which must stay first.
     std::size_t where = 2;
     if (jpeg.size() > 6 && jpeg[2] == std::byte{0xFF} && jpeg[3] == std::byte{0xE0}) {
@@ -260,6 +290,19 @@ Result<std::vector<std::byte>> EncodeJpeg(ImageView<const std::uint8_t> image, i
     jpeg.insert(jpeg.begin() + static_cast<std::ptrdiff_t>(where), segment.begin(), segment.end());
   }
   return jpeg;
+}
+
+}  // namespace
+
+Result<std::vector<std::byte>> EncodeJpeg(ImageView<const std::uint8_t> image, int quality,
+                                          bool panorama) {
+  const PhotoSphere whole{.full_width = image.width(), .full_height = image.height()};
+  return EncodeJpegOf(image, quality, panorama ? &whole : nullptr);
+}
+
+Result<std::vector<std::byte>> EncodeJpeg(ImageView<const std::uint8_t> image, int quality,
+                                          const PhotoSphere& sphere) {
+  return EncodeJpegOf(image, quality, &sphere);
 }
 
 }  // namespace omnihdr

@@ -274,8 +274,8 @@ Status ToneMapOptions::Validate() const {
         Range{"white percentile", white_percentile, 0.5, 1.0},
         Range{"sharpening", sharpening, 0.0, 20.0}, Range{"threshold", threshold, 1e-4, 1.0},
         Range{"bias", bias, 0.5, 1.0}, Range{"contrast", contrast_decades, 0.3, 10.0},
-        Range{"sigma space", sigma_space, 0.001, 0.2},
-        Range{"sigma range", sigma_range, 0.05, 2.0}}) {
+        Range{"sigma space", sigma_space, 0.005, 0.2},
+        Range{"sigma range", sigma_range, 0.1, 2.0}}) {
     if (!(r.value >= r.low && r.value <= r.high)) {
       return Fail(ErrorKind::kConfig, "tone mapping: {}: {}, expected {} to {}", r.name, r.value,
                   r.low, r.high);

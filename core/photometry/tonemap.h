@@ -46,7 +46,7 @@ struct ToneMapOptions {
   double threshold = 0.05;
   double bias = 0.85;  // kDrago, [0.5, 1]: smaller lifts the dark parts more
   // kDurand: decades that the large-scale contrast is brought to, [0.3, 10], and the filter's
-  // widths: share of the picture's longer side, [0.001, 0.2], and decades of luminance, [0.05, 2].
+  // widths: share of the picture's longer side, [0.005, 0.2], and decades of luminance, [0.1, 2].
   double contrast_decades = 1.6;
   double sigma_space = 0.02;
   double sigma_range = 0.4;

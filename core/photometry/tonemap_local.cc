@@ -335,9 +335,10 @@ Image<float> DurandFactors(ImageView<const float> radiance, const ToneMapOptions
   Image<float> logarithm(width, height, 1);
   Image<float> known(width, height, 1);
   // What lies far outside the bulk of the picture (noise around zero, one hot pixel) is held at
-  // these, so that the grid stays small.
-  const double low = std::log10(statistics.median) - 6.0;
+  // these, so that the grid stays small whatever the picture holds.
+  constexpr double kMostDecades = 16.0;
   const double high = std::log10(statistics.high) + 3.0;
+  const double low = std::max(std::log10(statistics.median) - 6.0, high - kMostDecades);
   ParallelFor(height, 16, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       LuminanceRow(radiance.row(y), radiance.channels(), width, logarithm.row(y));

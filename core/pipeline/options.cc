@@ -16,6 +16,8 @@ Status PipelineOptions::Validate() const {
     return Fail(ErrorKind::kConfig, "output.width: {}, expected an even number", output_width);
   }
   OMNIHDR_TRY(InRange("output.preview_quality", preview_quality, 1, 100));
+  OMNIHDR_TRY(InRange("output.preview_exposure_stops", preview.exposure_stops, -20, 20));
+  OMNIHDR_TRY(preview.Validate());
   OMNIHDR_TRY(InRange("photometry.value_low", value_low, 0, 127));
   OMNIHDR_TRY(InRange("photometry.value_high", value_high, 128, 255));
   OMNIHDR_TRY(InRange("photometry.read_noise", noise.read, 0, 50));

@@ -4,6 +4,7 @@
 
 #include "core/base/result.h"
 #include "core/photometry/noise_model.h"
+#include "core/photometry/tonemap.h"
 
 namespace omnihdr {
 
@@ -21,6 +22,7 @@ struct PipelineOptions {
       0;  // of the lat-long pictures; 0 = the input panorama's width, even, at most 8192
   OutputOrientation orientation = OutputOrientation::kAligned;
   int preview_quality = 90;
+  ToneMapOptions preview;  // of preview.jpg; its shape follows from the picture
   // PNG or JPEG the size of a frame, white = use; empty = no mask. Relative paths: to the working
   // directory (command line) or to the config file.
   std::string mask_file;  // [input] mask

@@ -311,6 +311,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     context.camera = info_.camera.model;
     if (!info_.camera.serial.empty()) context.camera += " " + info_.camera.serial;
     context.preview_quality = options_.preview_quality;
+    context.preview = options_.preview;
+    context.heading_deg = reference.heading_deg;
     return context;
   }
 

@@ -56,6 +56,26 @@ Image<float> AsFloat(const Image<std::uint8_t>& image) {
   return out;
 }
 
+Result<std::vector<std::byte>> Preview(const Image<float>& radiance,
+                                       const Eigen::Quaterniond& camera_from_output,
+                                       bool is_latlong, const ViewContext& context) {
+  ToneMapOptions options = context.preview;
+  options.shape = is_latlong ? PictureShape::kSphere : PictureShape::kPlane;
+  const Image<std::uint8_t> preview = ToneMap(radiance, options);
+  if (!is_latlong) return EncodeJpeg(preview, context.preview_quality);
+  PhotoSphere sphere{.full_width = preview.width(), .full_height = preview.height()};
+  if (context.heading_deg && std::isfinite(*context.heading_deg)) {
+    // The picture's middle looks along the output's X axis, turned against the camera's: a bearing
+    // grows clockwise, an azimuth counter-clockwise.
+    const Eigen::Vector3d middle = camera_from_output * Eigen::Vector3d::UnitX();
+    const double azimuth_deg = std::atan2(middle.y(), middle.x()) * 180.0 / std::numbers::pi;
+    const double bearing = std::fmod(*context.heading_deg - azimuth_deg, 360.0);
+    sphere.heading_deg = bearing < 0.0 ? bearing + 360.0 : bearing;
+    if (*sphere.heading_deg >= 360.0) sphere.heading_deg = 0.0;
+  }
+  return EncodeJpeg(preview, context.preview_quality, sphere);
+}
+
 Status WritePictures(const std::filesystem::path& directory, const MergedView& view,
                      PositionId position, bool is_latlong, bool with_disparity,
                      const ViewContext& context, ViewRecord* record) {
@@ -89,9 +109,8 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
                           {"confidence", view.confidence, ExrPixelType::kHalf, 0}},
                          attributes, ExrCompression::kZip));
   }
-  const Image<std::uint8_t> preview = ToneMapReinhard(view.radiance, ToneMapOptions{});
   OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
-                 EncodeJpeg(preview, context.preview_quality, is_latlong));
+                 Preview(view.radiance, record->orientation, is_latlong, context));
   OMNIHDR_TRY(WriteFileAtomic(directory / "preview.jpg", jpeg));
   return WriteFileAtomic(directory / "view.json", FormatViewRecord(*record));
 }

@@ -1,10 +1,12 @@
 #pragma once
 
 #include <filesystem>
+#include <optional>
 #include <string>
 
 #include "core/base/result.h"
 #include "core/photometry/measurement.h"
+#include "core/photometry/tonemap.h"
 #include "core/pipeline/options.h"
 #include "core/pipeline/view_pipeline.h"
 #include "core/session/session.h"
@@ -18,6 +20,9 @@ struct ViewContext {
   double reference_exposure_s = 0.0;
   std::string camera;  // model and serial
   int preview_quality = 90;
+  ToneMapOptions preview;
+  // Compass bearing of the camera's forward axis, when the frame's record has it.
+  std::optional<double> heading_deg;
 };
 
 // view.json's content for a finished view.

@@ -23,7 +23,8 @@ double PsnrMu(ImageView<const float> tested, ImageView<const float> truth, doubl
 // Gaussian window, sigma 1.5, C1 = (0.01·peak)², C2 = (0.03·peak)². 1 = identical. Only windows
 // that lie inside the picture and whose every pixel is in the area and finite in both count,
 // weighted by the row of their centre. With `wraps` the picture's left and right edges are
-// neighbours (panorama). NaN for no window.
+// neighbours (panorama). NaN for no window. Without mask and wrapping it is scikit-image's
+// structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False) to 1e-9.
 double Ssim(ImageView<const float> tested, ImageView<const float> truth, double peak,
             const ComparisonArea& area, bool wraps = false);
 

@@ -19,7 +19,7 @@ Image<float> LuminanceOf(ImageView<const float> rgb) {
 }
 
 RadianceErrors CompareRadiance(ImageView<const float> tested, ImageView<const float> truth,
-                               const ComparisonArea& area) {
+                               const ComparisonArea& area, ScaleFit fit) {
   assert(tested.width() == truth.width() && tested.height() == truth.height());
   std::vector<WeightedValue> errors;
   errors.reserve(static_cast<std::size_t>(truth.width()) *
@@ -46,7 +46,7 @@ RadianceErrors CompareRadiance(ImageView<const float> tested, ImageView<const fl
   if (!(compared > 0.0)) return result;
   result.compared = compared / wanted;
   result.log10_rmse_unscaled = std::sqrt(sum_squares / compared);
-  const double median = WeightedQuantile(errors, 0.5);
+  const double median = fit == ScaleFit::kMedian ? WeightedQuantile(errors, 0.5) : 0.0;
   result.scale = std::pow(10.0, -median);
   double sum = 0.0;
   for (WeightedValue& e : errors) {
@@ -55,7 +55,10 @@ RadianceErrors CompareRadiance(ImageView<const float> tested, ImageView<const fl
     e.value = static_cast<float>(std::abs(centred));
   }
   result.log10_rmse = std::sqrt(sum / compared);
+  result.log10_p50 = WeightedQuantile(errors, 0.5);
   result.log10_p95 = WeightedQuantile(errors, 0.95);
+  result.log10_p99 = WeightedQuantile(errors, 0.99);
+  result.log10_max = WeightedQuantile(errors, 1.0);
   return result;
 }
 

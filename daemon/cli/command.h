@@ -24,6 +24,9 @@ void AddMergeCommand(CLI::App& app, CommandRun& run);
 void AddSimulateCommand(CLI::App& app, CommandRun& run);
 void AddEvaluateCommand(CLI::App& app, CommandRun& run);
 void AddContactSheetCommand(CLI::App& app, CommandRun& run);
+void AddToneMapCommand(CLI::App& app, CommandRun& run);
+void AddPictureCommand(CLI::App& app, CommandRun& run);
+void AddCompareCommand(CLI::App& app, CommandRun& run);
 void AddConfigCommand(CLI::App& app, CommandRun& run);
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop

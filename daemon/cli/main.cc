@@ -12,9 +12,21 @@
 namespace omnihdr {
 namespace {
 
-constexpr std::array<AddCommand, 7> kCommands = {
-    AddControlCommands, AddProcessCommand,      AddMergeCommand, AddSimulateCommand,
-    AddEvaluateCommand, AddContactSheetCommand, AddConfigCommand};
+// One a line, so that a new one is one line of a change.
+// clang-format off
+constexpr std::array kCommands = {
+    AddControlCommands,
+    AddProcessCommand,
+    AddMergeCommand,
+    AddSimulateCommand,
+    AddEvaluateCommand,
+    AddContactSheetCommand,
+    AddToneMapCommand,
+    AddPictureCommand,
+    AddCompareCommand,
+    AddConfigCommand,
+};
+// clang-format on
 
 int Main(int argc, char** argv) {
   CLI::App app("omnihdr: HDR views from differently exposed panoramas");

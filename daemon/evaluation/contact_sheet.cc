@@ -16,6 +16,7 @@
 #include "core/photometry/tonemap.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
+#include "daemon/evaluation/false_colour.h"
 #include "daemon/evaluation/own_frame.h"
 #include "daemon/evaluation/reference.h"
 #include "daemon/evaluation/view_files.h"
@@ -92,19 +93,6 @@ Image<std::uint8_t> FramePicture(const Image<float>& radiance, double exposure_s
   return picture;
 }
 
-// The disparity below which 98 % of a map lies.
-double Near(const Image<float>& disparity) {
-  std::vector<float> known;
-  for (std::size_t i = 0; i < disparity.size(); ++i) {
-    if (std::isfinite(disparity.data()[i])) known.push_back(disparity.data()[i]);
-  }
-  if (known.empty()) return 0.0;
-  const auto nth =
-      known.begin() + static_cast<std::ptrdiff_t>(0.98 * static_cast<double>(known.size() - 1));
-  std::nth_element(known.begin(), nth, known.end());
-  return static_cast<double>(*nth);
-}
-
 std::vector<PositionId> Sampled(const std::vector<PositionId>& positions, int rows) {
   if (static_cast<int>(positions.size()) <= rows) return positions;
   std::vector<PositionId> sampled;
@@ -121,48 +109,6 @@ void Text(cv::Mat& sheet, const std::string& text, int x, int y, double size) {
 }
 
 }  // namespace
-
-Image<std::uint8_t> DisparityColours(ImageView<const float> disparity, double nearest) {
-  Image<std::uint8_t> level(disparity.width(), disparity.height(), 1);
-  for (int y = 0; y < level.height(); ++y) {
-    for (int x = 0; x < level.width(); ++x) {
-      const double share = nearest > 0.0 ? static_cast<double>(disparity.at(x, y)) / nearest : 0.0;
-      // The square root spreads the far half, where most of a scene lies.
-      level.at(x, y) = std::isfinite(share) ? static_cast<std::uint8_t>(std::lround(
-                                                  255.0 * std::sqrt(std::clamp(share, 0.0, 1.0))))
-                                            : std::uint8_t{0};
-    }
-  }
-  Image<std::uint8_t> colours(disparity.width(), disparity.height(), 3);
-  cv::Mat target = Mat(colours);
-  cv::applyColorMap(Mat(level), target, cv::COLORMAP_TURBO);
-  cv::cvtColor(target, target, cv::COLOR_BGR2RGB);
-  for (int y = 0; y < level.height(); ++y) {
-    for (int x = 0; x < level.width(); ++x) {
-      if (!std::isfinite(disparity.at(x, y))) std::fill_n(colours.pixel(x, y), 3, std::uint8_t{0});
-    }
-  }
-  return colours;
-}
-
-Image<std::uint8_t> ErrorColours(ImageView<const float> tested, ImageView<const float> truth,
-                                 double full) {
-  Image<std::uint8_t> colours(tested.width(), tested.height(), 3, 96);
-  for (int y = 0; y < tested.height(); ++y) {
-    for (int x = 0; x < tested.width(); ++x) {
-      const double error = std::log10(
-          static_cast<double>(Luminance(tested.pixel(x, y)) / Luminance(truth.pixel(x, y))));
-      if (!std::isfinite(error)) continue;
-      const double share = std::clamp(error / full, -1.0, 1.0);
-      const auto rest = static_cast<std::uint8_t>(std::lround(255.0 * (1.0 - std::abs(share))));
-      std::uint8_t* pixel = colours.pixel(x, y);
-      pixel[0] = share > 0.0 ? std::uint8_t{255} : rest;
-      pixel[1] = rest;
-      pixel[2] = share > 0.0 ? rest : std::uint8_t{255};
-    }
-  }
-  return colours;
-}
 
 Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& session,
                                              const ContactSheetOptions& options) {
@@ -207,9 +153,10 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
                             frame->exposure.EffectiveSeconds(), view.record.frames.size());
     row.cells.push_back(
         Shrunk(FramePicture(own, frame->exposure.EffectiveSeconds()), width, height));
-    row.cells.push_back(Shrunk(ToneMapReinhard(view.radiance, {}), width, height));
+    row.cells.push_back(
+        Shrunk(ToneMap(view.radiance, {.shape = PictureShape::kSphere}), width, height));
     row.disparity = SampledDisparity(view.disparity, width, height);
-    nearest = std::max(nearest, Near(row.disparity));
+    nearest = std::max(nearest, NearDisparity(row.disparity));
     row.cells.emplace_back();
     if (reference) {
       OMNIHDR_ASSIGN(Reference::Picture truth,

@@ -16,20 +16,11 @@ struct ContactSheetOptions {
 };
 
 // A picture to look a session over: a row a position, with its input frame, the tone-mapped view,
-// the disparity in false colour (near warm, far cool, unknown black; one scale for the whole sheet)
-// and, where a reference exists, the error (blue too dark, red too bright, grey unknown). Pictures
-// are in the view's orientation. RGB, 8 bits. Errors: as EvaluateSession, and a session without any
-// view.
+// the disparity in false colour (near warm, far cool, unknown hatched; one scale for the whole
+// sheet) and, where a reference exists, the error (blue too dark, red too bright, grey unknown).
+// Pictures are in the view's orientation. RGB, 8 bits. Errors: as EvaluateSession, and a session
+// without any view.
 Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& session,
                                              const ContactSheetOptions& options);
-
-// False colour of a disparity map, RGB: 0 is the far end, `nearest` and above the near end; NaN is
-// black.
-Image<std::uint8_t> DisparityColours(ImageView<const float> disparity, double nearest);
-
-// False colour of log10(tested / truth) of luminance, RGB: white = right, red = `full` too bright,
-// blue = `full` too dark; grey where either is unknown.
-Image<std::uint8_t> ErrorColours(ImageView<const float> tested, ImageView<const float> truth,
-                                 double full);
 
 }  // namespace omnihdr

@@ -1,10 +1,10 @@
 #include "daemon/evaluation/view_files.h"
 
-#include <array>
 #include <system_error>
 #include <utility>
 
 #include "core/image/exr.h"
+#include "daemon/evaluation/picture_files.h"
 
 namespace omnihdr {
 
@@ -14,19 +14,7 @@ Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId positi
   const std::filesystem::path directory = views / ViewDirectoryName(position);
   const std::filesystem::path radiance_path = directory / "radiance.exr";
   OMNIHDR_ASSIGN(const ExrImage radiance, ReadExr(radiance_path));
-  view.radiance = Image<float>(radiance.width, radiance.height, 3);
-  constexpr std::array<const char*, 3> kNames = {"R", "G", "B"};
-  for (int c = 0; c < 3; ++c) {
-    const char* name = kNames[static_cast<std::size_t>(c)];
-    const auto found = radiance.channels.find(name);
-    if (found == radiance.channels.end()) {
-      return Fail(ErrorKind::kData, "{}: no channel {}, expected R, G and B",
-                  radiance_path.string(), name);
-    }
-    for (int y = 0; y < radiance.height; ++y) {
-      for (int x = 0; x < radiance.width; ++x) view.radiance.at(x, y, c) = found->second.at(x, y);
-    }
-  }
+  OMNIHDR_ASSIGN(view.radiance, RadianceOf(radiance, radiance_path.string()));
   const std::filesystem::path disparity_path = directory / "disparity.exr";
   std::error_code error;
   if (!std::filesystem::exists(disparity_path, error)) return view;

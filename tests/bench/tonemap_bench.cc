@@ -38,5 +38,33 @@ void OpencvReinhard(benchmark::State& state) {
 }
 OMNIHDR_BENCHMARK(OpencvReinhard, "ToneMap/opencv");
 
+// The other operators, for which no target is set.
+void OmnihdrOperator(benchmark::State& state, ToneOperator tone_operator) {
+  ToneMapOptions options;
+  options.tone_operator = tone_operator;
+  for (auto _ : state) benchmark::DoNotOptimize(ToneMap(Scene(), options).data());
+}
+void OmnihdrReinhardLocal(benchmark::State& state) {
+  OmnihdrOperator(state, ToneOperator::kReinhardLocal);
+}
+OMNIHDR_BENCHMARK(OmnihdrReinhardLocal, "ToneMapLocal/omnihdr");
+void OmnihdrDrago(benchmark::State& state) { OmnihdrOperator(state, ToneOperator::kDrago); }
+OMNIHDR_BENCHMARK(OmnihdrDrago, "ToneMapDrago/omnihdr");
+void OmnihdrDurand(benchmark::State& state) { OmnihdrOperator(state, ToneOperator::kDurand); }
+OMNIHDR_BENCHMARK(OmnihdrDurand, "ToneMapDurand/omnihdr");
+
+void OpencvDrago(benchmark::State& state) {
+  const cv::Mat scene = SceneMat();
+  const auto drago = cv::createTonemapDrago(2.2F, 1.0F, 0.85F);
+  for (auto _ : state) {
+    cv::Mat mapped;
+    cv::Mat codes;
+    drago->process(scene, mapped);
+    mapped.convertTo(codes, CV_8UC3, 255.0);
+    benchmark::DoNotOptimize(codes.data);
+  }
+}
+OMNIHDR_BENCHMARK(OpencvDrago, "ToneMapDrago/opencv");
+
 }  // namespace
 }  // namespace omnihdr

@@ -430,6 +430,40 @@ TEST(EncodeJpeg, APanoramaSaysSoToViewersAndStillDecodesTheSame) {
   ExpectSamePixels(Pixels<std::uint8_t>(*a), Pixels<std::uint8_t>(*b));
 }
 
+TEST(EncodeJpeg, APartOfASphereSaysWhereItLiesAndWhereItLooks) {
+  PhotoSphere sphere{.full_width = 256, .full_height = 128, .left = 96, .top = 40};
+  sphere.heading_deg = 271.25;
+  sphere.pitch_deg = -3.0;
+  const Result<Bytes> jpeg = EncodeJpeg(SmoothImage(64, 32).view(), 90, sphere);
+  ASSERT_TRUE(jpeg) << jpeg.error().message;
+  const std::string_view text(reinterpret_cast<const char*>(jpeg->data()), jpeg->size());
+  for (const std::string_view key :
+       {"GPano:FullPanoWidthPixels=\"256\"", "GPano:FullPanoHeightPixels=\"128\"",
+        "GPano:CroppedAreaImageWidthPixels=\"64\"", "GPano:CroppedAreaImageHeightPixels=\"32\"",
+        "GPano:CroppedAreaLeftPixels=\"96\"", "GPano:CroppedAreaTopPixels=\"40\"",
+        "GPano:PoseHeadingDegrees=\"271.250\"", "GPano:PosePitchDegrees=\"-3.000\""}) {
+    EXPECT_NE(text.find(key), std::string_view::npos) << key;
+  }
+  EXPECT_EQ(text.find("PoseRollDegrees"), std::string_view::npos) << "roll is not known";
+}
+
+TEST(EncodeJpeg, APlaceOnTheSphereThatCannotBeIsAnError) {
+  const Image<std::uint8_t> image = SmoothImage(64, 32);
+  const PhotoSphere good{.full_width = 128, .full_height = 64, .left = 64, .top = 32};
+  ASSERT_TRUE(EncodeJpeg(image.view(), 90, good));
+  PhotoSphere bad = good;
+  bad.left = 65;
+  EXPECT_FALSE(EncodeJpeg(image.view(), 90, bad));
+  bad = good;
+  bad.top = -1;
+  EXPECT_FALSE(EncodeJpeg(image.view(), 90, bad));
+  bad = good;
+  bad.heading_deg = 360.0;
+  EXPECT_FALSE(EncodeJpeg(image.view(), 90, bad));
+  bad.heading_deg = std::nan("");
+  EXPECT_FALSE(EncodeJpeg(image.view(), 90, bad));
+}
+
 TEST(EncodeJpeg, APlainPictureClaimsNothing) {
   const Result<Bytes> jpeg = EncodeJpeg(SmoothImage(64, 32).view(), 90);
   ASSERT_TRUE(jpeg);

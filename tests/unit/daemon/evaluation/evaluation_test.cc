@@ -341,34 +341,5 @@ TEST_F(Evaluation, AContactSheetWithoutAnyViewIsAnError) {
   EXPECT_NE(sheet.error().message.find("no complete view"), std::string::npos);
 }
 
-TEST(DisparityColours, NearIsWarmFarIsCoolUnknownIsBlack) {
-  Image<float> disparity(3, 1, 1);
-  disparity.at(0, 0) = 1.0F;
-  disparity.at(1, 0) = 0.02F;
-  disparity.at(2, 0) = kNaN;
-  const Image<std::uint8_t> colours = DisparityColours(disparity, 1.2);
-  EXPECT_GT(colours.at(0, 0, 0), colours.at(0, 0, 2));
-  EXPECT_LT(colours.at(1, 0, 0), colours.at(1, 0, 2));
-  EXPECT_EQ(colours.at(2, 0, 0) + colours.at(2, 0, 1) + colours.at(2, 0, 2), 0);
-}
-
-TEST(ErrorColours, RightIsWhiteBrightIsRedDarkIsBlueUnknownIsGrey) {
-  const Image<float> truth(4, 1, 3, 1.0F);
-  Image<float> tested(4, 1, 3, 1.0F);
-  for (int c = 0; c < 3; ++c) {
-    tested.at(1, 0, c) = 2.5F;
-    tested.at(2, 0, c) = 0.4F;
-    tested.at(3, 0, c) = kNaN;
-  }
-  const Image<std::uint8_t> colours = ErrorColours(tested, truth, 0.3);
-  const auto pixel = [&](int x) {
-    return std::array<int, 3>{colours.at(x, 0, 0), colours.at(x, 0, 1), colours.at(x, 0, 2)};
-  };
-  EXPECT_EQ(pixel(0), (std::array<int, 3>{255, 255, 255}));
-  EXPECT_EQ(pixel(1), (std::array<int, 3>{255, 0, 0}));
-  EXPECT_EQ(pixel(2), (std::array<int, 3>{0, 0, 255}));
-  EXPECT_EQ(pixel(3), (std::array<int, 3>{96, 96, 96}));
-}
-
 }  // namespace
 }  // namespace omnihdr
