@@ -25,12 +25,13 @@ def load_bench():
 
 
 bench = load_bench()
+COUNTERS = {}  # by name, what a benchmark reports beside its time
 
 
 def benchmarks(times):
     """Google Benchmark's report: {name: CPU times in µs}, the wall clock twice as long."""
     runs = [{"name": f"{name}/process_time/real_time", "run_type": "iteration", "time_unit": "us", "cpu_time": t,
-             "real_time": 2.0 * t} for name, values in times.items() for t in values]
+             "real_time": 2.0 * t, **({"rms": COUNTERS[name]} if name in COUNTERS else {})} for name, values in times.items() for t in values]
     runs.append({"name": "Fast/omnihdr_mean", "run_type": "aggregate", "time_unit": "us", "cpu_time": 1e9,
                  "real_time": 1e9})
     return json.dumps({"benchmarks": runs})
@@ -97,6 +98,19 @@ class Bench(unittest.TestCase):
         self.assertEqual(code, 0)
         self.assertIn(">= 9 MISSED", text)
 
+    def test_a_quality_is_a_counter_that_must_not_be_larger(self):
+        with mock.patch(__name__ + ".COUNTERS", {"Error/omnihdr": 0.03, "Error/peer": 0.05}):
+            for most, verdict, exit_code in ((0.03, "met", 0), (0.02, "MISSED", 1)):
+                targets = [{"subject": "Error", "value": "rms", "must": {"most": most}}]
+                code, text, report = self.run_bench({"Error/omnihdr": [1], "Error/peer": [1]}, targets,
+                                                    "--require-must")
+                self.assertEqual(code, exit_code, text)
+                self.assertIn(f"0.03; must <= {most:g} {verdict}, peer 0.05", text)
+                self.assertEqual(report["rows"][0]["must"]["measured"], 0.03)
+        targets = [{"subject": "Error", "value": "rms", "must": {"most": 1}}]
+        code, text, _ = self.run_bench({"Error/omnihdr": [1]}, targets, "--require-must")
+        self.assertEqual(code, 1, "a counter that is not there is not met: " + text)
+
     def test_a_peer_that_is_not_installed_is_named(self):
         times = {"ToneMap/omnihdr": [10] * 5}
         code, text, _ = self.run_bench(times, [])
@@ -115,8 +129,8 @@ class Bench(unittest.TestCase):
             self.assertIn("subject", target)
             for kind in ("must", "goal"):
                 if kind in target:
-                    self.assertGreater(target[kind]["ratio"], 0)
-                    self.assertTrue(target[kind]["peer"])
+                    self.assertGreater(target[kind]["most" if "value" in target else "ratio"], 0)
+                    self.assertEqual("peer" in target[kind], "value" not in target)
 
 
 if __name__ == "__main__":
