@@ -76,7 +76,14 @@ function(omnihdr_test name)
   endif()
   add_executable(${name} ${sources})
   target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS} GTest::gmock GTest::gtest_main)
-  target_compile_definitions(${name} PRIVATE OMNIHDR_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
+  # Folders are told only to the files that ask: ccache shares all other objects between checkouts.
+  foreach(source IN LISTS sources)
+    file(STRINGS "${source}" asks REGEX "OMNIHDR_SOURCE_DIR" LIMIT_COUNT 1)
+    if(asks)
+      set_property(SOURCE "${source}" APPEND PROPERTY
+        COMPILE_DEFINITIONS OMNIHDR_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
+    endif()
+  endforeach()
   # One target that builds every unit test (what the sanitizer build needs).
   if("unit" IN_LIST ARG_LABELS)
     if(NOT TARGET unit_tests)
@@ -84,7 +91,6 @@ function(omnihdr_test name)
     endif()
     add_dependencies(unit_tests ${name})
   else()
-    # Unit tests do not know the build folder: ccache shares their objects between builds.
     target_compile_definitions(${name} PRIVATE OMNIHDR_BINARY_DIR="${PROJECT_BINARY_DIR}")
   endif()
   gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60)

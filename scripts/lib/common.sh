@@ -3,6 +3,9 @@
 top="$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)"
 cd "$top"
 
+# Objects are kept by content and not by where the checkout lies, so that another clone finds them.
+export CCACHE_BASEDIR="${CCACHE_BASEDIR:-$top}" CCACHE_NOHASHDIR=1
+
 # How many compilers at once: one a core, and no more than the free memory holds (1.2 GB each).
 job_count() {
   local cores free_kb by_memory
