@@ -217,26 +217,29 @@ struct BlockSums {
   float count = 0.0F;
 };
 
-// Where a source sees the surface point at disparity `d` along the world ray: its image point.
-// False when the point is hidden there.
-bool Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen::Vector3f& ray,
-            float d, float occlusion_tolerance, float* x, float* y) {
+enum class Sight { kUnknown, kHidden, kVisible };
+
+// Where a source would see the surface point at disparity `d` along the world ray: its image point,
+// and whether something nearer hides it there. kUnknown: the point has no place in the source.
+Sight Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen::Vector3f& ray,
+             float d, float occlusion_tolerance, float* x, float* y) {
   Eigen::Vector3f v = ray;
+  Sight sight = Sight::kVisible;
   if (!source.nearest.empty()) {
-    if (!(d >= 0.0F)) return false;
+    if (!(d >= 0.0F)) return Sight::kUnknown;
     v -= d * source.offset;
     const float length = v.norm();
-    if (length < 1e-4F) return false;
+    if (length < 1e-4F) return Sight::kUnknown;
     const float expected = d / length;
     int nx = 0;
     int ny = 0;
     map_grid.Pixel(v, &nx, &ny);
     const float nearest = source.nearest.at(nx, ny);
-    if (nearest > expected * (1.0F + occlusion_tolerance) + 0.003F) return false;
+    if (nearest > expected * (1.0F + occlusion_tolerance) + 0.003F) sight = Sight::kHidden;
   }
   const Eigen::Vector3f ray_there = source.camera_from_world * v;
   source.sampler->PixelFromRay(ray_there.x(), ray_there.y(), ray_there.z(), x, y);
-  return true;
+  return sight;
 }
 
 // The nearest surface seen from a source in each direction: the reference's map warped there, and
@@ -262,6 +265,7 @@ struct Sample {
   std::array<float, 3> variance{};
   std::uint8_t flags = kMasked;
   bool usable = false;  // no channel saturated, not masked
+  bool hidden = false;  // behind something nearer, if the disparity maps are right
   float trust = 1.0F;
 };
 
@@ -360,7 +364,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           }
           float px = 0.0F;
           float py = 0.0F;
-          if (!Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py)) {
+          if (Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py) !=
+              Sight::kVisible) {
             continue;
           }
           const RadianceSample theirs = source.sampler->SampleAt(px, py);
@@ -417,6 +422,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const RadianceSample own_raw = own_sampler.Sample(own_from_world * ray);
         samples[0] = make_sample(own, own_raw);
         const Sample& mine = samples[0];
+        const bool own_is_clipped =
+            (mine.flags & kMasked) == 0 && (mine.flags & kSaturatedAny) != 0;
         std::size_t count = 1;
 
         DisparityLookup::Value d;
@@ -435,12 +442,14 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         for (const SourceLookup& source : sources) {
           float px = 0.0F;
           float py = 0.0F;
-          if (!Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py)) {
-            continue;
-          }
+          const Sight sight =
+              Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py);
+          // What a disparity map calls hidden is asked only where this view itself does not know.
+          if (sight == Sight::kUnknown || (sight == Sight::kHidden && !own_is_clipped)) continue;
           const RadianceSample raw = source.sampler->SampleAt(px, py);
           if ((raw.flags & kMasked) != 0) continue;
           Sample s = make_sample(*source.measurement, raw);
+          s.hidden = sight == Sight::kHidden;
           s.trust = source.block_trust.at(x / kBlock, y / kBlock);
           const float factor = source.agreement.Factor(cell_x, cell_y);
           for (std::size_t c = 0; c < 3; ++c) {
@@ -483,8 +492,19 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         float* out = view.radiance.pixel(x, y);
         bool dark = true;
         float most_trusted = 0.0F;
+        float most_trusted_hidden = 0.0F;
         for (std::size_t k = 0; k < count; ++k) {
-          if (samples[k].usable) most_trusted = std::max(most_trusted, samples[k].trust);
+          if (!samples[k].usable) continue;
+          float& most = samples[k].hidden ? most_trusted_hidden : most_trusted;
+          most = std::max(most, samples[k].trust);
+        }
+        // A single wrong disparity "hides" a surface in every other view at once. Where none sees
+        // the point but what lies there is as bright as the clipped own pixel demands, that is a
+        // better estimate than the bare bound.
+        const bool take_hidden = most_trusted <= kLeastTrust && most_trusted_hidden > kLeastTrust;
+        if (take_hidden) most_trusted = most_trusted_hidden;
+        for (std::size_t k = 0; k < count; ++k) {
+          if (samples[k].hidden && !take_hidden) samples[k].usable = false;
         }
         // Where this view is saturated and all that others offer contradicts that, they see
         // something else.
@@ -512,7 +532,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           // Saturated wherever it was seen: each says "at least"; the largest bound says most.
           bool seen = false;
           for (std::size_t k = 0; k < count; ++k) {
-            if ((samples[k].flags & kMasked) != 0 || (samples[k].usable && k > 0)) continue;
+            if (samples[k].hidden || (samples[k].flags & kMasked) != 0) continue;
+            if (samples[k].usable && k > 0) continue;
             if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
             seen = true;
             for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);

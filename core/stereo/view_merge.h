@@ -46,7 +46,9 @@ struct MergedView {
 // (backward warp), unless hidden there; what is found is weighed by the inverse of its variance -
 // sensor noise, local contrast times the expected misregistration, a constant model error - and by
 // how well it agrees with what the reference itself saw, as an interval: a saturated reference
-// pixel only says "at least". Saturated samples never contribute a value. `map` is the reference's
+// pixel only says "at least". Saturated samples never contribute a value. Where the reference is
+// saturated and every other view counts as hidden, what they hold there is taken after all if it
+// is bright enough: one wrong disparity would otherwise leave a dark dot. `map` is the reference's
 // disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone, disparity
 // unknown.
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,

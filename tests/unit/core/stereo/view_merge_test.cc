@@ -174,6 +174,32 @@ TEST(MergeViews, ASaturatedPixelIsFilledFromAShorterExposure) {
   EXPECT_LT(errors[errors.size() * 9 / 10], std::log10(1.35));
 }
 
+TEST(MergeViews, AWrongDisparityThatHidesAClippedPixelEverywhereDoesNotLeaveAHole) {
+  Setting s = Expose(TheDrive(), {0.5, 0.5, 8.0, 0.5, 0.5});
+  // Lone pixels of the map lie far behind their surroundings, which then seem to cover them in
+  // every other view.
+  for (int y = 3; y < s.map.disparity.height(); y += 7) {
+    for (int x = y % 5; x < s.map.disparity.width(); x += 5) s.map.disparity.at(x, y) *= 0.5F;
+  }
+  const MergedView view = s.Merge(kNeighbours);
+  ExpectSound(view);
+  const Image<float>& truth = TheDrive().truths[kCentre].radiance;
+  int saturated = 0;
+  int bare_bound = 0;
+  int wrong = 0;
+  for (int y = 8; y < kHeight - 8; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      if (!OwnSaturated(s, x, y)) continue;
+      ++saturated;
+      bare_bound += OriginAt(view, x, y) == PixelOrigin::kClipped ? 1 : 0;
+      wrong += ErrorAt(view, truth, x, y) > std::log10(1.5) ? 1 : 0;
+    }
+  }
+  ASSERT_GT(saturated, 2000);
+  EXPECT_LT(bare_bound, saturated / 100) << "of " << saturated;
+  EXPECT_LT(wrong, saturated / 20) << "of " << saturated;
+}
+
 TEST(MergeViews, AHiddenPointIsNotSoughtInTheViewThatCannotSeeIt) {
   // A bright ball near the neighbours' line of sight; behind it lies wall that the middle place
   // sees saturated, so that only the occlusion test can keep the ball out.
