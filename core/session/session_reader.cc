@@ -14,6 +14,7 @@
 #include "core/session/journal_parser.h"
 #include "core/session/json.h"
 #include "core/session/limits.h"
+#include "core/session/response_members.h"
 
 namespace omnihdr {
 namespace {
@@ -91,50 +92,6 @@ Result<CameraDescription> ReadCamera(const ObjectReader& session) {
   return camera;
 }
 
-Result<Response> ReadResponse(const ObjectReader& session) {
-  OMNIHDR_ASSIGN(const ObjectReader json, session.Object("response"));
-  constexpr std::string_view kModels = "\"linear\", \"loglinear\" or \"table\"";
-  OMNIHDR_ASSIGN(const std::string model, json.String("model", kModels));
-  Result<Response> response = Response::Linear();
-  if (model == "linear") {
-    OMNIHDR_ASSIGN(const double black, json.NumberOr("black", 0.0, 0.0, std::nextafter(128.0, 0.0),
-                                                     "8-bit code values in [0, 128)"));
-    response = Response::Linear(black);
-  } else if (model == "loglinear") {
-    std::array<std::array<double, 2>, 3> a_b{};
-    constexpr std::array<std::string_view, 3> kChannels = {"r", "g", "b"};
-    constexpr std::string_view kPair = "[a, b] with a > 0, of ln X = a*Z + b";
-    for (std::size_t c = 0; c < 3; ++c) {
-      OMNIHDR_ASSIGN(const Json* pair, json.Array(kChannels[c], kPair));
-      if (pair->size() != 2) return json.Wrong(kChannels[c], kPair);
-      const std::optional<double> a = json::FiniteNumber((*pair)[0]);
-      const std::optional<double> b = json::FiniteNumber((*pair)[1]);
-      if (!a || !b || *a <= 0.0) return json.Wrong(kChannels[c], kPair);
-      a_b[c] = {*a, *b};
-    }
-    response = Response::LogLinear(a_b);
-  } else if (model == "table") {
-    constexpr std::string_view kTable = "three arrays of 256 finite, non-decreasing numbers";
-    OMNIHDR_ASSIGN(const Json* rows, json.Array("ln_exposure", kTable));
-    if (rows->size() != 3) return json.Wrong("ln_exposure", kTable);
-    std::array<std::vector<double>, 3> table;
-    for (std::size_t c = 0; c < 3; ++c) {
-      const Json& row = (*rows)[c];
-      if (!row.is_array() || row.size() != 256) return json.Wrong("ln_exposure", kTable);
-      for (const Json& value : row) {
-        const std::optional<double> number = json::FiniteNumber(value);
-        if (!number) return json.Wrong("ln_exposure", kTable);
-        table[c].push_back(*number);
-      }
-    }
-    response = Response::Table(table);
-  } else {
-    return json.Wrong("model", kModels);
-  }
-  if (!response) return session.Wrong("response", response.error().message);
-  return response;
-}
-
 Result<BracketDescription> ReadBracket(const ObjectReader& session) {
   OMNIHDR_ASSIGN(const ObjectReader json, session.Object("bracket"));
   BracketDescription bracket;
@@ -189,26 +146,6 @@ ObjectWriter CameraObject(const CameraDescription& camera) {
   return json;
 }
 
-ObjectWriter ResponseObject(const Response& response) {
-  ObjectWriter json;
-  switch (response.model()) {
-    case ResponseModel::kLinear:
-      json.Add("model", "linear");
-      if (response.black() != 0.0) json.Add("black", response.black());
-      break;
-    case ResponseModel::kLogLinear:
-      json.Add("model", "loglinear");
-      json.Add("r", response.loglinear()[0]);
-      json.Add("g", response.loglinear()[1]);
-      json.Add("b", response.loglinear()[2]);
-      break;
-    case ResponseModel::kTable:
-      json.Add("model", "table").Add("ln_exposure", response.table());
-      break;
-  }
-  return json;
-}
-
 // The keys of session.json's top level that SessionInfo has members for.
 constexpr std::array<std::string_view, 6> kOwnKeys = {"format", "version",  "created",
                                                       "camera", "response", "bracket"};
@@ -231,7 +168,8 @@ Result<SessionInfo> ParseSessionInfo(std::string_view text, const std::string& n
   SessionInfo info;
   OMNIHDR_ASSIGN(info.created, json.StringOr("created", ""));
   OMNIHDR_ASSIGN(info.camera, ReadCamera(json));
-  OMNIHDR_ASSIGN(info.response, ReadResponse(json));
+  OMNIHDR_ASSIGN(const ObjectReader response, json.Object("response"));
+  OMNIHDR_ASSIGN(info.response, json::ReadResponse(response));
   if (json.Has("bracket")) {
     OMNIHDR_ASSIGN(info.bracket, ReadBracket(json));
   }
@@ -244,7 +182,7 @@ std::string FormatSessionInfo(const SessionInfo& info) {
   ObjectWriter json(true);
   json.Add("format", "omnihdr-session").Add("version", 1).Add("created", info.created);
   json.AddObject("camera", CameraObject(info.camera));
-  json.AddObject("response", ResponseObject(info.response));
+  json.AddObject("response", json::ResponseObject(info.response));
   if (info.bracket) {
     Json exposures = Json::array();
     for (const ExposureTime exposure : info.bracket->exposures) {

@@ -21,6 +21,7 @@ using AddCommand = void (*)(CLI::App& app, CommandRun& run);
 // The one visible list of commands, each in its own file of this folder.
 void AddProcessCommand(CLI::App& app, CommandRun& run);
 void AddMergeCommand(CLI::App& app, CommandRun& run);
+void AddCalibrateCommand(CLI::App& app, CommandRun& run);  // response, ...
 void AddSimulateCommand(CLI::App& app, CommandRun& run);
 void AddEvaluateCommand(CLI::App& app, CommandRun& run);
 void AddContactSheetCommand(CLI::App& app, CommandRun& run);

@@ -18,6 +18,7 @@ constexpr std::array kCommands = {
     AddControlCommands,
     AddProcessCommand,
     AddMergeCommand,
+    AddCalibrateCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
     AddContactSheetCommand,

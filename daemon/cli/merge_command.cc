@@ -1,7 +1,6 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
-#include <charconv>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -14,8 +13,10 @@
 #include "core/photometry/measure.h"
 #include "core/photometry/tonemap.h"
 #include "core/pipeline/view_files.h"
+#include "core/session/response_json.h"
 #include "core/session/session_reader.h"
 #include "daemon/cli/command.h"
+#include "daemon/cli/exposed_image.h"
 
 namespace omnihdr {
 namespace {
@@ -28,37 +29,6 @@ struct MergeArguments {
   std::string response = "linear";
   int bits = 16;
 };
-
-struct InputFrame {
-  std::string file;
-  double seconds = 0.0;
-};
-
-// IMAGE@SECONDS, where SECONDS is a decimal number or a fraction (1/60).
-Result<InputFrame> ParseInput(const std::string& text) {
-  const std::size_t at = text.rfind('@');
-  const auto fail = [&text] {
-    return Fail(ErrorKind::kUsage,
-                "{}: expected IMAGE@SECONDS with SECONDS > 0, as in a.png@0.5 or "
-                "a.png@1/60",
-                text);
-  };
-  if (at == std::string::npos || at == 0) return fail();
-  const auto number = [](std::string_view part, double* value) {
-    const auto [end, error] = std::from_chars(part.data(), part.data() + part.size(), *value);
-    return error == std::errc{} && end == part.data() + part.size() && std::isfinite(*value) &&
-           *value > 0.0;
-  };
-  const std::string_view seconds = std::string_view(text).substr(at + 1);
-  const std::size_t slash = seconds.find('/');
-  double numerator = 0.0;
-  double denominator = 1.0;
-  if (!number(seconds.substr(0, slash), &numerator)) return fail();
-  if (slash != std::string_view::npos && !number(seconds.substr(slash + 1), &denominator)) {
-    return fail();
-  }
-  return InputFrame{text.substr(0, at), numerator / denominator};
-}
 
 // The inverse of the sRGB transfer curve, for pictures that were developed for screens.
 Result<Response> SrgbResponse() {
@@ -77,6 +47,7 @@ Result<Response> ResponseOf(const std::string& name) {
   if (name == "linear") return Response::Linear();
   if (name == "srgb") return SrgbResponse();
   OMNIHDR_ASSIGN(const std::string text, ReadTextFile(name));
+  if (text.find("omnihdr-session") == std::string::npos) return ParseResponse(text, name);
   OMNIHDR_ASSIGN(const SessionInfo info, ParseSessionInfo(text, name));
   return info.response;
 }
@@ -84,9 +55,9 @@ Result<Response> ResponseOf(const std::string& name) {
 Result<int> Merge(const MergeArguments& arguments) {
   OMNIHDR_ASSIGN(const Response response, ResponseOf(arguments.response));
   std::vector<DecodedImage> images;
-  std::vector<double> seconds;
+  std::vector<ExposureTime> times;
   for (const std::string& text : arguments.images) {
-    OMNIHDR_ASSIGN(const InputFrame input, ParseInput(text));
+    OMNIHDR_ASSIGN(const ExposedImageName input, ParseExposedImage(text));
     OMNIHDR_ASSIGN(DecodedImage image, ReadImage(input.file));
     if (!images.empty() &&
         (image.width() != images.front().width() || image.height() != images.front().height())) {
@@ -94,27 +65,16 @@ Result<int> Merge(const MergeArguments& arguments) {
                   image.width(), image.height(), images.front().width(), images.front().height());
     }
     images.push_back(std::move(image));
-    seconds.push_back(input.seconds);
+    times.push_back(input.time);
   }
   std::vector<ExposedFrame> frames;
   for (std::size_t k = 0; k < images.size(); ++k) {
-    frames.push_back({&images[k], {ExposureTime::Seconds(seconds[k]), GainDb{}}});
+    frames.push_back({&images[k], {times[k], GainDb{}}});
   }
   Image<std::uint8_t> mask;
   if (!arguments.mask.empty()) {
-    OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(arguments.mask));
-    if (decoded.is_16_bit() || decoded.width() != images.front().width() ||
-        decoded.height() != images.front().height()) {
-      return Fail(ErrorKind::kData,
-                  "{}: {}x{}, expected an 8-bit picture of the images' size {}x{}", arguments.mask,
-                  decoded.width(), decoded.height(), images.front().width(),
-                  images.front().height());
-    }
-    const auto& pixels = std::get<Image<std::uint8_t>>(decoded.pixels);
-    mask = Image<std::uint8_t>(pixels.width(), pixels.height());
-    for (int y = 0; y < mask.height(); ++y) {
-      for (int x = 0; x < mask.width(); ++x) mask.at(x, y) = pixels.pixel(x, y)[0];
-    }
+    OMNIHDR_ASSIGN(
+        mask, LoadPictureMask(arguments.mask, images.front().width(), images.front().height()));
   }
   OMNIHDR_ASSIGN(
       const Measurement measurement,
@@ -175,7 +135,7 @@ void AddMergeCommand(CLI::App& app, CommandRun& run) {
   command->add_option("--preview", arguments->preview, "tone-mapped JPEG to write as well");
   command
       ->add_option("--response", arguments->response,
-                   "linear, srgb, or a session.json whose response to use")
+                   "linear, srgb, or a file: a session.json, or what calibrate response wrote")
       ->capture_default_str();
   command->add_option("--bits", arguments->bits, "significant bits of 16-bit images")
       ->check(CLI::Range(8, 16))

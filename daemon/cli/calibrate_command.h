@@ -1,0 +1,11 @@
+#pragma once
+
+#include "daemon/cli/command.h"
+
+namespace omnihdr {
+
+// The sub-commands of `omnihdr calibrate`, each in its own file: each adds itself to the calibrate
+// application.
+void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run);
+
+}  // namespace omnihdr

@@ -1,0 +1,171 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "core/base/file.h"
+#include "core/image/image_io.h"
+#include "core/photometry/response_calibration.h"
+#include "core/session/response_json.h"
+#include "daemon/cli/calibrate_command.h"
+#include "daemon/cli/exposed_image.h"
+
+namespace omnihdr {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct ResponseArguments {
+  std::vector<std::string> inputs;
+  std::string method = "debevec";
+  std::string mask;
+  std::string out;
+  std::string apply;
+  int bits = 16;
+  bool json = false;
+};
+
+Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments) {
+  std::vector<DecodedImage> images;
+  std::vector<std::string> names;
+  std::vector<ExposureTime> times;
+  for (const std::string& text : arguments.inputs) {
+    OMNIHDR_ASSIGN(const ExposedImageName input, ParseExposedImage(text));
+    Result<DecodedImage> image = ReadImage(input.file);
+    if (!image) return Forward(image.error());
+    images.push_back(std::move(*image));
+    names.push_back(input.file);
+    times.push_back(input.time);
+  }
+  std::vector<ExposedFrame> frames;
+  for (std::size_t k = 0; k < images.size(); ++k) frames.push_back({&images[k], {times[k], {}}});
+  Image<std::uint8_t> mask;
+  if (!arguments.mask.empty()) {
+    OMNIHDR_ASSIGN(
+        mask, LoadPictureMask(arguments.mask, images.front().width(), images.front().height()));
+  }
+  return SamplesFromBracket(frames, names, arguments.bits, mask.view(), SampleOptions{});
+}
+
+std::string Report(const ResponseCalibration& calibration, const ResponseSamples& samples,
+                   ResponseMethod method) {
+  std::string text = fmt::format("{} response from {} exposures of {:.6g} to {:.6g} s\n",
+                                 ToString(method), samples.seconds.size(),
+                                 *std::min_element(samples.seconds.begin(), samples.seconds.end()),
+                                 *std::max_element(samples.seconds.begin(), samples.seconds.end()));
+  const Response& response = calibration.response;
+  if (response.model() == ResponseModel::kLinear) {
+    text += fmt::format("Z - {:.3f} proportional to exposure\n", response.black());
+  }
+  for (std::size_t c = 0; c < 3; ++c) {
+    const ResponseCurve& curve = calibration.curves[c];
+    text += fmt::format(
+        "{}: {} spots, {} observations, values {} to {}, {:.1f} % rejected, residual {:.3f} stops, "
+        "R2 {:.4f}",
+        "RGB"[c], curve.spots, curve.observations, curve.measured_low, curve.measured_high,
+        100.0 * static_cast<double>(curve.outliers) / static_cast<double>(curve.observations),
+        curve.residual_stops, curve.r_squared);
+    if (response.model() == ResponseModel::kLogLinear) {
+      text += fmt::format(", ln X = {:.5f} Z {:+.4f}", response.loglinear()[c][0],
+                          response.loglinear()[c][1]);
+    }
+    text += "\n";
+  }
+  text += fmt::format(
+      "residual {:.3f} stops rms, {:.3f} with what was rejected, {:.3f} on spots held out of the "
+      "fit\n",
+      calibration.residual_stops, calibration.all_stops, calibration.held_out_stops);
+  constexpr double kNoticeable = 0.1;
+  for (std::size_t j = 0; j < samples.seconds.size(); ++j) {
+    const double bias = calibration.exposure_bias_stops[j];
+    if (std::abs(bias) < kNoticeable) continue;
+    text +=
+        fmt::format("{}: {:.3f} stops {} than {:.6g} s explain\n", samples.names[j], std::abs(bias),
+                    bias < 0.0 ? "less light" : "more light", samples.seconds[j]);
+  }
+  return text;
+}
+
+std::string ReportJson(const ResponseCalibration& calibration, const ResponseSamples& samples,
+                       ResponseMethod method) {
+  Json json = {{"method", ToString(method)},
+               {"response", Json::parse(FormatResponse(calibration.response))},
+               {"residual_stops", calibration.residual_stops},
+               {"residual_stops_with_rejected", calibration.all_stops},
+               {"residual_stops_held_out", calibration.held_out_stops}};
+  for (std::size_t j = 0; j < samples.seconds.size(); ++j) {
+    json["exposures"].push_back({{"picture", samples.names[j]},
+                                 {"exposure_s", samples.seconds[j]},
+                                 {"bias_stops", calibration.exposure_bias_stops[j]}});
+  }
+  for (std::size_t c = 0; c < 3; ++c) {
+    const ResponseCurve& curve = calibration.curves[c];
+    json["channels"].push_back({{"channel", std::string(1, "rgb"[c])},
+                                {"spots", curve.spots},
+                                {"observations", curve.observations},
+                                {"rejected", curve.outliers},
+                                {"measured", {curve.measured_low, curve.measured_high}},
+                                {"residual_stops", curve.residual_stops},
+                                {"r_squared", curve.r_squared},
+                                {"ln_exposure", curve.ln_exposure},
+                                {"standard_error", curve.standard_error},
+                                {"spread", curve.spread}});
+  }
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
+}
+
+// Puts the response into a session; nothing else of it changes.
+Status Apply(const std::filesystem::path& session, const Response& response) {
+  const std::filesystem::path path = session / "session.json";
+  OMNIHDR_ASSIGN(const std::string text, ReadTextFile(path));
+  OMNIHDR_ASSIGN(const std::string replaced, ReplaceSessionResponse(text, path.string(), response));
+  return WriteFileAtomic(path, replaced);
+}
+
+Result<int> Calibrate(const ResponseArguments& arguments) {
+  const std::optional<ResponseMethod> method = ResponseMethodFromString(arguments.method);
+  if (!method) return Fail(ErrorKind::kUsage, "--method {}: no such method", arguments.method);
+  OMNIHDR_ASSIGN(const ResponseSamples samples, SamplesFromImages(arguments));
+  ResponseCalibrationOptions options;
+  options.method = *method;
+  OMNIHDR_ASSIGN(const ResponseCalibration calibration, CalibrateResponse(samples, options));
+  if (!arguments.out.empty()) {
+    OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatResponse(calibration.response) + "\n"));
+  }
+  if (!arguments.apply.empty()) OMNIHDR_TRY(Apply(arguments.apply, calibration.response));
+  fmt::print("{}", arguments.json ? ReportJson(calibration, samples, *method)
+                                  : Report(calibration, samples, *method));
+  return 0;
+}
+
+}  // namespace
+
+void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run) {
+  CLI::App* command = calibrate.add_subcommand(
+      "response", "Recover the camera's response curve from differently exposed pictures");
+  auto arguments = std::make_shared<ResponseArguments>();
+  command->add_option("inputs", arguments->inputs, "IMAGE@SECONDS, as in a.png@0.5 or a.png@1/60")
+      ->required();
+  command
+      ->add_option("--method", arguments->method,
+                   "debevec, robertson, linear (with a black level) or loglinear")
+      ->check(CLI::IsMember({"debevec", "robertson", "linear", "loglinear"}))
+      ->capture_default_str();
+  command->add_option("--mask", arguments->mask, "picture of the pictures' size, white = use");
+  command->add_option("--bits", arguments->bits, "significant bits of 16-bit pictures")
+      ->check(CLI::Range(8, 16))
+      ->capture_default_str();
+  command->add_option("--out", arguments->out,
+                      "file for the response, a JSON object as in session.json");
+  command->add_option("--apply", arguments->apply, "session directory that gets the response");
+  command->add_flag("--json", arguments->json, "print the report, curves included, as JSON");
+  command->callback([arguments, &run] { run = [arguments] { return Calibrate(*arguments); }; });
+}
+
+}  // namespace omnihdr
