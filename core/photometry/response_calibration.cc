@@ -21,7 +21,6 @@ constexpr int kLeastCoverage = 64;
 struct Fit {
   Response response = *Response::Linear();
   std::array<std::array<double, 256>, 3> standard_error{};
-  double raised = 0.0;
 };
 
 Result<Fit> FitLinear(const ResponseSamples& samples, const ResponseCalibrationOptions& options) {
@@ -75,14 +74,13 @@ Result<Fit> FitTable(const ResponseSamples& samples, const ResponseCalibrationOp
   std::array<std::vector<double>, 3> table;
   for (std::size_t c = 0; c < 3; ++c) {
     const ResponseSamples::Channel& channel = samples.channels[c];
-    const Curve curve = options.method == ResponseMethod::kDebevec
-                            ? response_fit::FitDebevec(channel, samples.seconds, options.smoothness,
-                                                       options.weight_turns)
-                            : response_fit::FitRobertson(channel, samples.seconds,
-                                                         options.smoothness, options.curve_turns);
+    const Curve curve =
+        options.method == ResponseMethod::kDebevec
+            ? response_fit::FitDebevec(channel, samples.seconds, options.bend, options.weight_turns)
+            : response_fit::FitRobertson(channel, samples.seconds, options.bend,
+                                         options.curve_turns);
     table[c].assign(curve.g.begin(), curve.g.end());
     fit.standard_error[c] = curve.standard_error;
-    fit.raised = std::max(fit.raised, curve.raised);
   }
   OMNIHDR_ASSIGN(fit.response, Response::Table(table));
   return fit;
@@ -99,6 +97,25 @@ Result<Fit> FitAny(const ResponseSamples& samples, const ResponseCalibrationOpti
       return FitLogLinear(samples, options);
   }
   return Fail(ErrorKind::kSoftware, "no such method");
+}
+
+// With two exposures a spot, Robertson's turns follow the pairs from value to value and find
+// another fixed point for every start.
+Status CheckMethod(const ResponseSamples& samples, ResponseMethod method) {
+  if (method != ResponseMethod::kRobertson) return {};
+  constexpr double kLeastPerSpot = 2.5;
+  for (std::size_t c = 0; c < 3; ++c) {
+    const ResponseSamples::Channel& channel = samples.channels[c];
+    const double per_spot =
+        static_cast<double>(channel.observations.size()) / static_cast<double>(channel.size());
+    if (per_spot < kLeastPerSpot) {
+      return Fail(ErrorKind::kData,
+                  "channel {}: a spot is usable under {:.1f} exposures on average; robertson needs "
+                  "{}, debevec does with two",
+                  "RGB"[c], per_spot, kLeastPerSpot);
+    }
+  }
+  return {};
 }
 
 // Every fifth spot, or the other four.
@@ -274,8 +291,8 @@ std::optional<ResponseMethod> ResponseMethodFromString(std::string_view name) {
 }
 
 Status ResponseCalibrationOptions::Validate() const {
-  if (!(smoothness >= 0.01 && smoothness <= 1e7)) {
-    return Fail(ErrorKind::kConfig, "smoothness {}, expected 0.01 to 1e7", smoothness);
+  if (!(bend >= 0.001 && bend <= 1000.0)) {
+    return Fail(ErrorKind::kConfig, "bend {}, expected 0.001 to 1000", bend);
   }
   if (weight_turns < 1 || weight_turns > 100 || curve_turns < 1 || curve_turns > 10000) {
     return Fail(ErrorKind::kConfig, "{} and {} turns, expected 1 to 100 and 1 to 10000",
@@ -297,11 +314,11 @@ Result<ResponseCalibration> CalibrateResponse(const ResponseSamples& samples,
                   "RGB"[c], support.low, support.high, kLeastCoverage);
     }
   }
+  OMNIHDR_TRY(CheckMethod(samples, options.method));
   OMNIHDR_ASSIGN(const Fit trial, FitAny(Part(samples, false), options));
   OMNIHDR_ASSIGN(const Fit fit, FitAny(samples, options));
   ResponseCalibration calibration;
   calibration.response = fit.response;
-  calibration.raised = fit.raised;
   calibration.held_out_stops = ResidualStops(trial.response, Part(samples, true));
   calibration.all_stops = ResidualStops(fit.response, samples);
   std::vector<Bias> bias(samples.seconds.size());

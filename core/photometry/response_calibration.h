@@ -14,9 +14,9 @@ namespace omnihdr {
 
 enum class ResponseMethod {
   // Debevec and Malik 1997, eq. 3: the 256 values of g(Z) = ln E + ln t and every spot's ln E, by
-  // least squares with a penalty on g''. Here every spot's ln E is eliminated exactly, so that
-  // thousands of spots cost no more than one 256×256 system, and the weights follow the scatter
-  // measured at each value, moving things weighted down (Tukey).
+  // least squares with a penalty for roughness. Here every spot's ln E is eliminated exactly, so
+  // that thousands of spots cost no more than one 256×256 system, the weights follow the scatter
+  // measured at each value, and moving things are weighted down (Tukey).
   kDebevec,
   // Robertson, Borman and Stevenson 2003: maximum likelihood in linear light, the curve and the
   // spots' E in turns.
@@ -29,9 +29,10 @@ std::optional<ResponseMethod> ResponseMethodFromString(std::string_view name);
 
 struct ResponseCalibrationOptions {
   ResponseMethod method = ResponseMethod::kDebevec;
-  // Weight of the penalty on g'' (Debevec's λ), against one spot per pixel value; 0.01 to 1e7.
-  // Also smooths the curve of Robertson's method.
-  double smoothness = 300.0;
+  // How much a curve may bend: the standard deviation expected of the second derivative of ln g' by
+  // ln Z (over a unit of ln Z), 0.001 to 1000. It is 0 for linear, gamma and log-linear curves.
+  // Less is smoother.
+  double bend = 0.5;
   // Turns: of the weights (Debevec, linear, log-linear), and of the curve (Robertson).
   int weight_turns = 6;
   int curve_turns = 300;
@@ -67,8 +68,6 @@ struct ResponseCalibration {
   double held_out_stops = 0.0;
   // Mean of the same by exposure: a shutter that is not what it says, film that fails to add up.
   std::vector<double> exposure_bias_stops;
-  // The largest step the curve had to be raised by to never fall (ln E).
-  double raised = 0.0;
 };
 
 // Recovers the response. Law: monotone; the order of spots and exposures does not matter (to
@@ -77,8 +76,8 @@ struct ResponseCalibration {
 Result<ResponseCalibration> CalibrateResponse(const ResponseSamples& samples,
                                               const ResponseCalibrationOptions& options);
 
-// The residual over all observations, as defined above, of any response on any samples, one channel or all (-1).
-// Observations below the black level are left out.
+// The residual over all observations, as defined above, of any response on any samples, one channel
+// or all (-1). Observations below the black level are left out.
 double ResidualStops(const Response& response, const ResponseSamples& samples, int channel = -1);
 
 }  // namespace omnihdr

@@ -23,6 +23,9 @@ Nodes NodesOf(float value, const Support& support) {
   return nodes;
 }
 
+// Standard deviation of ln E of one observation before anything is known.
+constexpr double kFirstScatter = 0.1;
+
 // Debevec and Malik's hat, eq. 4, in [0, 1].
 double Hat(double value) { return std::max(0.0, std::min(value, 255.0 - value) / 127.5); }
 
@@ -32,43 +35,95 @@ double Median(std::vector<double>& values) {
   return *middle;
 }
 
-// A spot's residuals shrink by its own mean: made good so that the scatter is that of one
-// observation.
-double OwnMean(std::size_t observations) {
-  const auto n = static_cast<double>(observations);
-  return std::sqrt(n / (n - 1.0));
+// Residuals for the scatter, from the plain mean of a spot's observations that count, made good for
+// the share of each in that mean. Not from the weighted mean: weights that follow their own
+// residuals end with all weight on a few values.
+template <typename Residual>
+void PlainResiduals(const ResponseSamples::Channel& channel, const std::vector<double>& weight,
+                    const Residual& residual, std::vector<double>* out) {
+  out->assign(weight.size(), 0.0);
+  for (std::size_t i = 0; i < channel.size(); ++i) {
+    double sum = 0.0;
+    double n = 0.0;
+    for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
+      (*out)[k] = residual(channel.observations[k]);
+      if (weight[k] <= 0.0) continue;
+      sum += (*out)[k];
+      n += 1.0;
+    }
+    const double mean = n > 0.0 ? sum / n : 0.0;
+    const double correction = n > 1.0 ? std::sqrt(n / (n - 1.0)) : 1.0;
+    for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
+      (*out)[k] = ((*out)[k] - mean) * correction;
+    }
+  }
 }
 
-// Pool-adjacent-violators, equal weights: the closest curve that never falls. Returns the largest
-// change.
-double PoolAdjacent(Eigen::VectorXd& g) {
-  struct Block {
-    double mean;
-    Eigen::Index size;
-  };
-  std::vector<Block> blocks;
-  for (const double value : g) {
-    blocks.push_back({value, 1});
-    while (blocks.size() > 1 && blocks[blocks.size() - 2].mean > blocks.back().mean) {
-      const Block last = blocks.back();
-      blocks.pop_back();
-      Block& previous = blocks.back();
-      const auto total = static_cast<double>(previous.size + last.size);
-      previous.mean = (previous.mean * static_cast<double>(previous.size) +
-                       last.mean * static_cast<double>(last.size)) /
-                      total;
-      previous.size += last.size;
+Scatter ScatterOf(const ResponseSamples::Channel& channel, const std::vector<double>& weight,
+                  const std::vector<double>& residuals) {
+  std::vector<float> values;
+  std::vector<double> counted;
+  for (std::size_t k = 0; k < weight.size(); ++k) {
+    if (weight[k] <= 0.0) continue;
+    values.push_back(channel.observations[k].value);
+    counted.push_back(residuals[k]);
+  }
+  return {values, counted};
+}
+
+// Differences between neighbouring values, above 0.
+Eigen::VectorXd Steps(const Eigen::VectorXd& g) {
+  constexpr double kLeastStep = 1e-5;
+  const Eigen::Index n = g.size();
+  return (g.tail(n - 1) - g.head(n - 1)).cwiseMax(kLeastStep);
+}
+
+// Debevec and Malik's penalty on g'', for a start.
+void AddCurvature(const Support& support, Eigen::MatrixXd* a) {
+  constexpr double kCurvature = 4e-4;  // a film's at mid-range, ln E per squared value
+  constexpr std::array<double, 3> kSecond = {1.0, -2.0, 1.0};
+  for (int k = 0; k + 2 < support.size(); ++k) {
+    const double hat = Hat(support.low + k + 1);
+    const double weight = hat * hat / (kCurvature * kCurvature);
+    for (int i = 0; i < 3; ++i) {
+      for (int j = 0; j < 3; ++j) {
+        (*a)(k + i, k + j) +=
+            weight * kSecond[static_cast<std::size_t>(i)] * kSecond[static_cast<std::size_t>(j)];
+      }
     }
   }
-  double largest = 0.0;
-  Eigen::Index at = 0;
-  for (const Block& block : blocks) {
-    for (Eigen::Index k = 0; k < block.size; ++k, ++at) {
-      largest = std::max(largest, std::abs(block.mean - g[at]));
-      g[at] = block.mean;
+}
+
+// The penalty on the second derivative of ln g' by ln Z, linearised at `steps` (Gauss-Newton):
+// ln s' = ln s + (s' − s)/s of each step s.
+void AddBend(const Support& support, const Eigen::VectorXd& steps, double bend, Eigen::MatrixXd* a,
+             Eigen::VectorXd* b) {
+  for (int k = 0; k + 3 < support.size(); ++k) {
+    std::array<double, 3> u{};
+    for (int i = 0; i < 3; ++i) {
+      u[static_cast<std::size_t>(i)] = std::log(support.low + k + i + 0.5);
+    }
+    const double span = 0.5 * (u[2] - u[0]);
+    const std::array<double, 3> second = {
+        1.0 / ((u[1] - u[0]) * span), -1.0 / ((u[1] - u[0]) * span) - 1.0 / ((u[2] - u[1]) * span),
+        1.0 / ((u[2] - u[1]) * span)};
+    std::array<double, 4> row{};
+    double target = 0.0;
+    for (std::size_t i = 0; i < 3; ++i) {
+      const double step = steps[k + static_cast<Eigen::Index>(i)];
+      row[i] -= second[i] / step;
+      row[i + 1] += second[i] / step;
+      target -= second[i] * (std::log(step) - 1.0);
+    }
+    const double weight = span / (bend * bend);
+    for (int i = 0; i < 4; ++i) {
+      for (int j = 0; j < 4; ++j) {
+        (*a)(k + i, k + j) +=
+            weight * row[static_cast<std::size_t>(i)] * row[static_cast<std::size_t>(j)];
+      }
+      (*b)[k + i] += weight * row[static_cast<std::size_t>(i)] * target;
     }
   }
-  return largest;
 }
 
 // d ln E / d ln Z at one end of the measured curve.
@@ -135,50 +190,44 @@ double Tukey(double normalised) {
   return s * s;
 }
 
-Curve SolveCurve(const CurveSystem& system, double smoothness) {
+Curve SolveCurve(const CurveSystem& system, double bend, const Curve* start) {
   const Support& support = system.support;
   const int n = support.size();
   const double unit = std::max(system.a.trace() / n, 1e-12);
-  Eigen::MatrixXd a = system.a;
-  for (int k = 1; k + 1 < n; ++k) {
-    const double hat = Hat(support.low + k);
-    const double weight = smoothness * unit * hat * hat;
-    constexpr std::array<double, 3> kSecond = {1.0, -2.0, 1.0};
-    for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) {
-        a(k - 1 + i, k - 1 + j) +=
-            weight * kSecond[static_cast<std::size_t>(i)] * kSecond[static_cast<std::size_t>(j)];
-      }
-    }
-  }
+  Eigen::MatrixXd data = system.a;
   // A constant on g is free: fixed where it will be 0. The rest keeps empty nodes solvable.
   const int anchor = std::clamp(kReferenceValue, support.low, support.high) - support.low;
-  a(anchor, anchor) += 1e6 * unit;
-  a.diagonal().array() += 1e-9 * unit;
+  data(anchor, anchor) += 1e6 * unit;
+  data.diagonal().array() += 1e-9 * unit;
 
-  // Where it falls, a strong pull together (Eilers 2005), until it falls nowhere.
-  Eigen::VectorXd g = a.ldlt().solve(system.b);
-  std::vector<bool> pulled(static_cast<std::size_t>(n), false);
-  constexpr int kMostTurns = 30;
-  for (int turn = 0; turn < kMostTurns; ++turn) {
-    bool found = false;
+  Eigen::VectorXd g(n);
+  if (start != nullptr) {
+    for (int k = 0; k < n; ++k) g[k] = start->g[static_cast<std::size_t>(support.low + k)];
+  } else {
+    Eigen::MatrixXd a = data;
+    AddCurvature(support, &a);
+    g = a.llt().solve(system.b);
+  }
+  Eigen::LLT<Eigen::MatrixXd> solver;
+  const int turns = start != nullptr ? 3 : 10;
+  for (int turn = 0; turn < turns; ++turn) {
+    Eigen::VectorXd steps = Steps(g);
+    Eigen::MatrixXd a = data;
+    Eigen::VectorXd b = system.b;
+    AddBend(support, steps, bend, &a, &b);
+    solver.compute(a);
+    const Eigen::VectorXd next = solver.solve(b);
+    // A step may shrink or grow to what its logarithm still describes, never to nothing.
     for (int k = 0; k + 1 < n; ++k) {
-      if (g[k + 1] >= g[k] || pulled[static_cast<std::size_t>(k)]) continue;
-      found = true;
-      pulled[static_cast<std::size_t>(k)] = true;
-      const double weight = 1e4 * unit;
-      a(k, k) += weight;
-      a(k + 1, k + 1) += weight;
-      a(k, k + 1) -= weight;
-      a(k + 1, k) -= weight;
+      steps[k] = std::clamp(next[k + 1] - next[k], 0.3 * steps[k], 3.0 * steps[k]);
     }
-    if (!found) break;
-    g = a.ldlt().solve(system.b);
+    g[anchor] = 0.0;
+    for (int k = anchor; k + 1 < n; ++k) g[k + 1] = g[k] + steps[k];
+    for (int k = anchor; k > 0; --k) g[k - 1] = g[k] - steps[k - 1];
   }
   Curve curve;
-  curve.raised = PoolAdjacent(g);
   const Eigen::VectorXd variance =
-      a.ldlt().solve(Eigen::MatrixXd::Identity(n, n)).diagonal().cwiseMax(0.0);
+      solver.solve(Eigen::MatrixXd::Identity(n, n)).diagonal().cwiseMax(0.0);
 
   const double low_power = EndPower(g, support, true);
   const double high_power = EndPower(g, support, false);
@@ -210,15 +259,18 @@ double Interpolate(const std::array<double, 256>& g, float value) {
 }
 
 Curve FitDebevec(const ResponseSamples::Channel& channel, std::span<const double> seconds,
-                 double smoothness, int turns) {
+                 double bend, int turns) {
   const Support support = SupportOf(channel);
   std::vector<double> weight(channel.observations.size());
   for (std::size_t k = 0; k < weight.size(); ++k) {
     const double hat = Hat(static_cast<double>(channel.observations[k].value));
-    weight[k] = support.Contains(channel.observations[k].value) ? hat * hat : 0.0;
+    weight[k] = support.Contains(channel.observations[k].value)
+                    ? hat * hat / (kFirstScatter * kFirstScatter)
+                    : 0.0;
   }
   Curve curve;
   std::vector<Nodes> nodes;
+  std::vector<double> residuals;
   for (int turn = 0; turn < turns; ++turn) {
     CurveSystem system(support);
     for (std::size_t i = 0; i < channel.size(); ++i) {
@@ -251,43 +303,27 @@ Curve FitDebevec(const ResponseSamples::Channel& channel, std::span<const double
         }
       }
     }
-    curve = SolveCurve(system, smoothness);
+    curve = SolveCurve(system, bend, turn == 0 ? nullptr : &curve);
 
-    std::vector<float> values;
-    std::vector<double> residuals;
-    std::vector<double> residual_of(weight.size(), 0.0);
-    for (std::size_t i = 0; i < channel.size(); ++i) {
-      double sum = 0.0;
-      double mean = 0.0;
-      for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-        const ResponseObservation& o = channel.observations[k];
-        residual_of[k] = Interpolate(curve.g, o.value) - std::log(seconds[o.exposure]);
-        sum += weight[k];
-        mean += weight[k] * residual_of[k];
-      }
-      if (sum <= 0.0) continue;
-      mean /= sum;
-      const double correction = OwnMean(channel.begin[i + 1] - channel.begin[i]);
-      for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-        residual_of[k] = (residual_of[k] - mean) * correction;
-        if (weight[k] == 0.0) continue;
-        values.push_back(channel.observations[k].value);
-        residuals.push_back(residual_of[k]);
-      }
-    }
-    const Scatter scatter(values, residuals);
+    PlainResiduals(
+        channel, weight,
+        [&](const ResponseObservation& o) {
+          return Interpolate(curve.g, o.value) - std::log(seconds[o.exposure]);
+        },
+        &residuals);
+    const Scatter scatter = ScatterOf(channel, weight, residuals);
     for (std::size_t k = 0; k < weight.size(); ++k) {
       const float value = channel.observations[k].value;
       if (!support.Contains(value)) continue;
       const double sigma = scatter.At(value);
-      weight[k] = Tukey(residual_of[k] / sigma) / (sigma * sigma);
+      weight[k] = Tukey(residuals[k] / sigma) / (sigma * sigma);
     }
   }
   return curve;
 }
 
 Curve FitRobertson(const ResponseSamples::Channel& channel, std::span<const double> seconds,
-                   double smoothness, int turns) {
+                   double bend, int turns) {
   const Support support = SupportOf(channel);
   const auto n = static_cast<std::size_t>(support.size());
   // Their weight: a bell over the range, nothing at its ends.
@@ -357,7 +393,7 @@ Curve FitRobertson(const ResponseSamples::Channel& channel, std::span<const doub
     system.a(i, i) = weight;
     system.b[i] = weight * std::log(x[k]);
   }
-  return SolveCurve(system, smoothness);
+  return SolveCurve(system, bend, nullptr);
 }
 
 Fitted FitBlack(const ResponseSamples& samples, int turns) {
@@ -366,6 +402,7 @@ Fitted FitBlack(const ResponseSamples& samples, int turns) {
     weight[c].assign(samples.channels[c].observations.size(), 1.0);
   }
   Fitted fitted;
+  std::vector<double> residuals;
   for (int turn = 0; turn < turns; ++turn) {
     double left = 0.0;
     double right = 0.0;
@@ -396,33 +433,21 @@ Fitted FitBlack(const ResponseSamples& samples, int turns) {
     fitted.standard_error = 1.0 / std::sqrt(left);
     for (std::size_t c = 0; c < 3; ++c) {
       const ResponseSamples::Channel& channel = samples.channels[c];
-      std::vector<float> values;
-      std::vector<double> residuals;
-      std::vector<double> residual_of(weight[c].size(), 0.0);
-      for (std::size_t i = 0; i < channel.size(); ++i) {
-        double wtt = 0.0;
-        double wtz = 0.0;
-        for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-          const double t = samples.seconds[channel.observations[k].exposure];
-          wtt += weight[c][k] * t * t;
-          wtz += weight[c][k] * t *
-                 (static_cast<double>(channel.observations[k].value) - fitted.value);
-        }
-        if (wtt <= 0.0) continue;
-        const double correction = OwnMean(channel.begin[i + 1] - channel.begin[i]);
-        for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-          const ResponseObservation& o = channel.observations[k];
-          residual_of[k] = (static_cast<double>(o.value) - fitted.value -
-                            wtz / wtt * samples.seconds[o.exposure]) *
-                           correction;
-          values.push_back(o.value);
-          residuals.push_back(residual_of[k]);
-        }
-      }
-      const Scatter scatter(values, residuals);
+      const auto light = [&](const ResponseObservation& o) {
+        return std::max(static_cast<double>(o.value) - fitted.value, 0.5);
+      };
+      PlainResiduals(
+          channel, weight[c],
+          [&](const ResponseObservation& o) {
+            return std::log(light(o) / samples.seconds[o.exposure]);
+          },
+          &residuals);
+      const Scatter scatter = ScatterOf(channel, weight[c], residuals);
       for (std::size_t k = 0; k < weight[c].size(); ++k) {
-        const double sigma = scatter.At(channel.observations[k].value);
-        weight[c][k] = Tukey(residual_of[k] / sigma) / (sigma * sigma);
+        const ResponseObservation& o = channel.observations[k];
+        const double relative = scatter.At(o.value);
+        const double sigma = relative * light(o);
+        weight[c][k] = Tukey(residuals[k] / relative) / (sigma * sigma);
       }
     }
   }
@@ -433,10 +458,10 @@ Fitted FitLogSlope(const ResponseSamples::Channel& channel, std::span<const doub
                    int turns) {
   std::vector<double> weight(channel.observations.size(), 1.0);
   Fitted fitted;
+  std::vector<double> residuals;
   for (int turn = 0; turn < turns; ++turn) {
     double left = 0.0;
     double right = 0.0;
-    std::vector<std::array<double, 2>> means(channel.size());
     for (std::size_t i = 0; i < channel.size(); ++i) {
       double w = 0.0;
       double wx = 0.0;
@@ -447,31 +472,24 @@ Fitted FitLogSlope(const ResponseSamples::Channel& channel, std::span<const doub
         wz += weight[k] * static_cast<double>(channel.observations[k].value);
       }
       if (w <= 0.0) continue;
-      means[i] = {wx / w, wz / w};
       for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-        const double x = std::log(seconds[channel.observations[k].exposure]) - means[i][0];
+        const double x = std::log(seconds[channel.observations[k].exposure]) - wx / w;
         left += weight[k] * x * x;
-        right += weight[k] * x * (static_cast<double>(channel.observations[k].value) - means[i][1]);
+        right += weight[k] * x * (static_cast<double>(channel.observations[k].value) - wz / w);
       }
     }
     if (left <= 0.0) break;
     fitted.value = right / left;
     fitted.standard_error = 1.0 / std::sqrt(left);
-    std::vector<float> values;
-    std::vector<double> residuals(weight.size());
-    for (std::size_t i = 0; i < channel.size(); ++i) {
-      const double correction = OwnMean(channel.begin[i + 1] - channel.begin[i]);
-      for (std::size_t k = channel.begin[i]; k < channel.begin[i + 1]; ++k) {
-        const double x = std::log(seconds[channel.observations[k].exposure]) - means[i][0];
-        residuals[k] =
-            (static_cast<double>(channel.observations[k].value) - means[i][1] - fitted.value * x) *
-            correction;
-        values.push_back(channel.observations[k].value);
-      }
-    }
-    const Scatter scatter(values, residuals);
+    PlainResiduals(
+        channel, weight,
+        [&](const ResponseObservation& o) {
+          return static_cast<double>(o.value) - fitted.value * std::log(seconds[o.exposure]);
+        },
+        &residuals);
+    const Scatter scatter = ScatterOf(channel, weight, residuals);
     for (std::size_t k = 0; k < weight.size(); ++k) {
-      const double sigma = scatter.At(values[k]);
+      const double sigma = scatter.At(channel.observations[k].value);
       weight[k] = Tukey(residuals[k] / sigma) / (sigma * sigma);
     }
   }

@@ -57,20 +57,22 @@ struct CurveSystem {
 struct Curve {
   std::array<double, 256> g{};
   std::array<double, 256> standard_error{};
-  double raised = 0.0;
 };
-// Adds the penalty on g'' (weighted down towards the ends of the range, as Debevec and Malik do,
-// where even a linear camera's ln E bends), solves, keeps the curve from falling, and continues it
-// beyond the support as E ∝ Z^p, which is exact for linear and gamma curves. g(128) = 0.
-Curve SolveCurve(const CurveSystem& system, double smoothness);
+// Solves `system`, which is in units of 1/σ², with a penalty on the second derivative of ln g' by
+// ln Z. It is 0 for every linear, gamma and log-linear curve, so that smoothing pulls towards none
+// of them; a penalty on g'' (Debevec and Malik) bends a linear camera's curve, and leaves waves of
+// the period of the exposures' ratio, which the data cannot see (Grossberg and Nayar 2003), to
+// chance. The curve rises everywhere. Beyond the support it goes on as E ∝ Z^p, exact for linear
+// and gamma curves. g(128) = 0. `start`: a curve about right, or null.
+Curve SolveCurve(const CurveSystem& system, double bend, const Curve* start);
 
 // g at a fractional value.
 double Interpolate(const std::array<double, 256>& g, float value);
 
 Curve FitDebevec(const ResponseSamples::Channel& channel, std::span<const double> seconds,
-                 double smoothness, int turns);
+                 double bend, int turns);
 Curve FitRobertson(const ResponseSamples::Channel& channel, std::span<const double> seconds,
-                   double smoothness, int turns);
+                   double bend, int turns);
 
 // Z = black + E·t over all channels; black and its standard error.
 struct Fitted {

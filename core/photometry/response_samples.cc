@@ -289,13 +289,11 @@ void Pick(const Chooser& chooser, std::span<const Candidate> by_roughness, int c
   samples->floor[static_cast<std::size_t>(channel)] = static_cast<double>(low);
   const std::size_t exposures = samples->seconds.size();
   std::vector<int> filled(exposures * kValueBins, 0);
-  // Three times an even share: the pictures decide which values there are.
-  const int quota =
-      std::max(8, 3 * options.max_spots / kValueBins / static_cast<int>(exposures) * 2);
+  // Several times an even share: the pictures decide which values there are.
+  const int quota = std::max(8, 6 * options.max_spots / (kValueBins * static_cast<int>(exposures)));
   for (const Candidate& place : by_roughness) {
     if (out.size() >= static_cast<std::size_t>(options.max_spots)) break;
     std::vector<ResponseObservation> spot = chooser.Observe(place, channel, low);
-    DropFog(samples->seconds, &spot);
     if (spot.size() < 2) continue;
     const auto bin = [](const ResponseObservation& o) {
       return static_cast<std::size_t>(o.exposure) * kValueBins +
@@ -310,6 +308,8 @@ void Pick(const Chooser& chooser, std::span<const Candidate> by_roughness, int c
       suspect->channels[static_cast<std::size_t>(channel)].Add(spot);
       continue;
     }
+    DropFog(samples->seconds, &spot);
+    if (spot.size() < 2) continue;
     for (const ResponseObservation& o : spot) ++filled[bin(o)];
     out.Add(spot);
   }

@@ -12,6 +12,7 @@
 #include "core/base/file.h"
 #include "core/image/image_io.h"
 #include "core/photometry/response_calibration.h"
+#include "core/pipeline/response_session.h"
 #include "core/session/response_json.h"
 #include "daemon/cli/calibrate_command.h"
 #include "daemon/cli/exposed_image.h"
@@ -53,12 +54,38 @@ Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments) {
   return SamplesFromBracket(frames, names, arguments.bits, mask.view(), SampleOptions{});
 }
 
-std::string Report(const ResponseCalibration& calibration, const ResponseSamples& samples,
+// From pictures, or from the one session named.
+Result<SessionSamples> Samples(const ResponseArguments& arguments) {
+  const std::filesystem::path session = arguments.inputs.front();
+  std::error_code ignored;
+  if (!std::filesystem::is_directory(session, ignored)) {
+    SessionSamples result;
+    OMNIHDR_ASSIGN(result.samples, SamplesFromImages(arguments));
+    result.frames = static_cast<int>(result.samples.seconds.size());
+    return result;
+  }
+  if (arguments.inputs.size() > 1) {
+    return Fail(ErrorKind::kUsage, "{}: expected one session, or pictures only", session.string());
+  }
+  OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
+  Image<std::uint8_t> mask;
+  if (!arguments.mask.empty()) {
+    OMNIHDR_ASSIGN(mask, LoadPictureMask(arguments.mask, contents.info.camera.width,
+                                         contents.info.camera.height));
+  }
+  return SamplesFromSession(session, contents, mask.view(), SessionSampleOptions{});
+}
+
+std::string Report(const ResponseCalibration& calibration, const SessionSamples& source,
                    ResponseMethod method) {
-  std::string text = fmt::format("{} response from {} exposures of {:.6g} to {:.6g} s\n",
-                                 ToString(method), samples.seconds.size(),
-                                 *std::min_element(samples.seconds.begin(), samples.seconds.end()),
-                                 *std::max_element(samples.seconds.begin(), samples.seconds.end()));
+  const ResponseSamples& samples = source.samples;
+  const auto [shortest, longest] =
+      std::minmax_element(samples.seconds.begin(), samples.seconds.end());
+  std::string text = fmt::format(
+      "{} response from {} frames{}, {} exposures of {:.6g} to {:.6g} s\n", ToString(method),
+      source.frames,
+      source.moving ? fmt::format(" of a moving camera ({} pairs of positions)", source.links) : "",
+      samples.seconds.size(), *shortest, *longest);
   const Response& response = calibration.response;
   if (response.model() == ResponseModel::kLinear) {
     text += fmt::format("Z - {:.3f} proportional to exposure\n", response.black());
@@ -92,9 +119,12 @@ std::string Report(const ResponseCalibration& calibration, const ResponseSamples
   return text;
 }
 
-std::string ReportJson(const ResponseCalibration& calibration, const ResponseSamples& samples,
+std::string ReportJson(const ResponseCalibration& calibration, const SessionSamples& source,
                        ResponseMethod method) {
+  const ResponseSamples& samples = source.samples;
   Json json = {{"method", ToString(method)},
+               {"frames", source.frames},
+               {"moving", source.moving},
                {"response", Json::parse(FormatResponse(calibration.response))},
                {"residual_stops", calibration.residual_stops},
                {"residual_stops_with_rejected", calibration.all_stops},
@@ -131,7 +161,11 @@ Status Apply(const std::filesystem::path& session, const Response& response) {
 Result<int> Calibrate(const ResponseArguments& arguments) {
   const std::optional<ResponseMethod> method = ResponseMethodFromString(arguments.method);
   if (!method) return Fail(ErrorKind::kUsage, "--method {}: no such method", arguments.method);
-  OMNIHDR_ASSIGN(const ResponseSamples samples, SamplesFromImages(arguments));
+  OMNIHDR_ASSIGN(const SessionSamples source, Samples(arguments));
+  for (const std::string& warning : source.warnings) {
+    fmt::print(stderr, "warning: {}\n", warning);
+  }
+  const ResponseSamples& samples = source.samples;
   ResponseCalibrationOptions options;
   options.method = *method;
   OMNIHDR_ASSIGN(const ResponseCalibration calibration, CalibrateResponse(samples, options));
@@ -139,8 +173,8 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
     OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatResponse(calibration.response) + "\n"));
   }
   if (!arguments.apply.empty()) OMNIHDR_TRY(Apply(arguments.apply, calibration.response));
-  fmt::print("{}", arguments.json ? ReportJson(calibration, samples, *method)
-                                  : Report(calibration, samples, *method));
+  fmt::print("{}", arguments.json ? ReportJson(calibration, source, *method)
+                                  : Report(calibration, source, *method));
   return 0;
 }
 
@@ -150,14 +184,16 @@ void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run) {
   CLI::App* command = calibrate.add_subcommand(
       "response", "Recover the camera's response curve from differently exposed pictures");
   auto arguments = std::make_shared<ResponseArguments>();
-  command->add_option("inputs", arguments->inputs, "IMAGE@SECONDS, as in a.png@0.5 or a.png@1/60")
+  command
+      ->add_option("inputs", arguments->inputs,
+                   "a session directory, or IMAGE@SECONDS, as in a.png@0.5 or a.png@1/60")
       ->required();
   command
       ->add_option("--method", arguments->method,
                    "debevec, robertson, linear (with a black level) or loglinear")
       ->check(CLI::IsMember({"debevec", "robertson", "linear", "loglinear"}))
       ->capture_default_str();
-  command->add_option("--mask", arguments->mask, "picture of the pictures' size, white = use");
+  command->add_option("--mask", arguments->mask, "picture of a frame's size, white = use");
   command->add_option("--bits", arguments->bits, "significant bits of 16-bit pictures")
       ->check(CLI::Range(8, 16))
       ->capture_default_str();

@@ -9,6 +9,7 @@
 
 #include "core/image/image_io.h"
 #include "core/photometry/measure.h"
+#include "core/photometry/response_calibration.h"
 
 namespace omnihdr {
 namespace {
@@ -113,6 +114,56 @@ TEST_F(Memorial, RadianceFollowsTheExposures) {
     EXPECT_NEAR(stops[stops.size() / 2], 0.0, 0.5) << "frame of " << seconds_[k] << " s";
   }
   EXPECT_GE(frames_compared, 10);
+}
+
+TEST_F(Memorial, ItsResponseExplainsTheExposuresToATenthOfAStop) {
+  // The pure blue of the scans' filled edges, grown by the reach of a spot's window.
+  Image<std::uint8_t> mask(images_[0].width(), images_[0].height(), 1, 255);
+  for (std::size_t k = 0; k < images_.size(); ++k) {
+    for (int y = 0; y < mask.height(); ++y) {
+      for (int x = 0; x < mask.width(); ++x) {
+        const std::uint8_t* p = Picture(k).pixel(x, y);
+        if (p[0] != 0 || p[1] != 0 || p[2] != 255) continue;
+        for (int dy = -2; dy <= 2; ++dy) {
+          for (int dx = -2; dx <= 2; ++dx) {
+            mask.at(std::clamp(x + dx, 0, mask.width() - 1),
+                    std::clamp(y + dy, 0, mask.height() - 1)) = 0;
+          }
+        }
+      }
+    }
+  }
+  std::vector<ExposedFrame> frames;
+  std::vector<std::string> names;
+  for (std::size_t k = 0; k < images_.size(); ++k) {
+    frames.push_back({&images_[k], {ExposureTime::Seconds(seconds_[k]), {}}});
+    names.push_back("scan " + std::to_string(k));
+  }
+  const Result<ResponseSamples> samples =
+      SamplesFromBracket(frames, names, 8, mask.view(), SampleOptions{});
+  ASSERT_TRUE(samples) << samples.error().message;
+  for (const ResponseMethod method : {ResponseMethod::kDebevec, ResponseMethod::kRobertson}) {
+    ResponseCalibrationOptions options;
+    options.method = method;
+    const Result<ResponseCalibration> calibration = CalibrateResponse(*samples, options);
+    ASSERT_TRUE(calibration) << calibration.error().message;
+    EXPECT_LT(calibration->residual_stops, 0.105) << ToString(method);
+    EXPECT_LT(calibration->all_stops, 0.15) << ToString(method);
+    EXPECT_LT(calibration->held_out_stops, 0.15) << ToString(method);
+    for (const ResponseCurve& curve : calibration->curves) {
+      EXPECT_LT(static_cast<double>(curve.outliers),
+                0.03 * static_cast<double>(curve.observations));
+      // Smooth: over the measured values, ln g' turns by no more than a quarter from value to
+      // value.
+      for (int z = curve.measured_low + 1; z < curve.measured_high; ++z) {
+        const auto k = static_cast<std::size_t>(z);
+        const double before = curve.ln_exposure[k] - curve.ln_exposure[k - 1];
+        const double after = curve.ln_exposure[k + 1] - curve.ln_exposure[k];
+        ASSERT_GT(before, 0.0) << z;
+        ASSERT_LT(std::abs(std::log(after / before)), 0.25) << z;
+      }
+    }
+  }
 }
 
 TEST_F(Memorial, TheMergedRangeIsFarMoreThanOneFramesRange) {
