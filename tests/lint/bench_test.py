@@ -110,6 +110,7 @@ class Bench(unittest.TestCase):
         targets = [{"subject": "Error", "value": "rms", "must": {"most": 1}}]
         code, text, _ = self.run_bench({"Error/omnihdr": [1]}, targets, "--require-must")
         self.assertEqual(code, 1, "a counter that is not there is not met: " + text)
+        self.assertIn("not measured; must <= 1\n", text)
 
     def test_a_peer_that_is_not_installed_is_named(self):
         times = {"ToneMap/omnihdr": [10] * 5}
