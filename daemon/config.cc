@@ -8,8 +8,8 @@
 #include <utility>
 
 #include "core/base/file.h"
+#include "core/session/toml.h"
 #include "daemon/config_keys.h"
-#include "daemon/config_toml.h"
 
 namespace omnihdr {
 namespace {
@@ -101,7 +101,7 @@ class Loader {
   }
 
   void ApplyFile(const fs::path& path) {
-    Result<std::string> text = ReadTextFile(path, kMaxConfigBytes);
+    Result<std::string> text = ReadTextFile(path, kMaxTomlBytes);
     if (text) {
       Apply(*text, path.string());
     } else {

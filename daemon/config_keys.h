@@ -6,8 +6,8 @@
 #include <string_view>
 #include <vector>
 
+#include "core/session/toml.h"
 #include "daemon/config.h"
-#include "daemon/config_toml.h"
 
 namespace omnihdr {
 

@@ -143,10 +143,11 @@ Status CheckDistortion(LensKind kind, const std::array<double, 5>& distortion, d
   }
   const double limit = kind == LensKind::kPinhole ? kPi / 2.0 : kPi;
   if (!(max_angle > 0.0 && max_angle < limit)) {
-    return Fail(ErrorKind::kData,
-                "field of view {:.6g} degrees, expected more than 0 and less than {:g} for a {} "
-                "lens",
-                2.0 * max_angle * 180.0 / kPi, 2.0 * limit * 180.0 / kPi, ToString(kind));
+    return Fail(
+        ErrorKind::kData,
+        "fov_deg: {:.6g}, expected a field of view of more than 0 and less than {:g} for a {} "
+        "lens",
+        2.0 * max_angle * 180.0 / kPi, 2.0 * limit * 180.0 / kPi, ToString(kind));
   }
   const double unfolded = Lens::UnfoldedAngle(kind, distortion, max_angle);
   if (unfolded < max_angle) {

@@ -10,46 +10,6 @@ namespace {
 
 constexpr std::size_t kMaxSensors = 64;
 
-Status CheckSensor(const RigSensor& sensor) {
-  if (sensor.lens.width() < 1) return Fail(ErrorKind::kData, "lens: missing, expected one");
-  const Eigen::Quaterniond& q = sensor.camera_from_sensor.rotation;
-  if (!q.coeffs().allFinite() || std::abs(q.norm() - 1.0) > 1e-6) {
-    return Fail(ErrorKind::kData, "rotation: norm {}, expected a quaternion of length 1", q.norm());
-  }
-  if (!sensor.camera_from_sensor.translation.allFinite() ||
-      sensor.camera_from_sensor.translation.norm() > 1000.0) {
-    return Fail(ErrorKind::kData, "translation: {} m, expected finite, at most 1000",
-                sensor.camera_from_sensor.translation.norm());
-  }
-  if (sensor.bayer != BayerOrder::kNone &&
-      (sensor.lens.width() % 2 != 0 || sensor.lens.height() % 2 != 0)) {
-    return Fail(ErrorKind::kData, "size: {}x{}, expected even sides with a Bayer pattern",
-                sensor.lens.width(), sensor.lens.height());
-  }
-  for (const double c : sensor.vignetting.coefficients) {
-    if (!std::isfinite(c)) {
-      return Fail(ErrorKind::kData, "vignetting: {}, expected finite coefficients", c);
-    }
-  }
-  // ρ = 1 is the corner of a centred picture; an off-centre one reaches a little farther.
-  for (int step = 0; step <= 128; ++step) {
-    const double rho = 1.25 * step / 128.0;
-    const double v = sensor.vignetting.At(rho);
-    if (!(v > 1e-3 && v < 1e3)) {
-      return Fail(ErrorKind::kData,
-                  "vignetting: sensitivity {:.4g} at {:.3g} half diagonals off the centre, "
-                  "expected 0.001 to 1000",
-                  v, rho);
-    }
-  }
-  for (const double g : sensor.gain) {
-    if (!(g >= 1e-6 && g <= 1e6)) {
-      return Fail(ErrorKind::kData, "gain: {}, expected 1e-6 to 1e6", g);
-    }
-  }
-  return {};
-}
-
 }  // namespace
 
 std::string_view ToString(BayerOrder order) {
@@ -100,6 +60,45 @@ int BayerChannel(BayerOrder order, int x, int y) {
   return dx + dy;
 }
 
+Status RigSensor::Validate() const {
+  if (lens.width() < 1) return Fail(ErrorKind::kData, "lens: missing, expected one");
+  const Eigen::Quaterniond& q = camera_from_sensor.rotation;
+  if (!q.coeffs().allFinite() || std::abs(q.norm() - 1.0) > 1e-6) {
+    return Fail(ErrorKind::kData, "rotation: norm {}, expected a quaternion of length 1", q.norm());
+  }
+  if (!camera_from_sensor.translation.allFinite() ||
+      camera_from_sensor.translation.norm() > 1000.0) {
+    return Fail(ErrorKind::kData, "translation: {} m, expected finite, at most 1000",
+                camera_from_sensor.translation.norm());
+  }
+  if (bayer != BayerOrder::kNone && (lens.width() % 2 != 0 || lens.height() % 2 != 0)) {
+    return Fail(ErrorKind::kData, "size: {}x{}, expected even sides with a Bayer pattern",
+                lens.width(), lens.height());
+  }
+  for (const double c : vignetting.coefficients) {
+    if (!std::isfinite(c)) {
+      return Fail(ErrorKind::kData, "vignetting: {}, expected finite coefficients", c);
+    }
+  }
+  // ρ = 1 is the corner of a centred picture; an off-centre one reaches a little farther.
+  for (int step = 0; step <= 128; ++step) {
+    const double rho = 1.25 * step / 128.0;
+    const double v = vignetting.At(rho);
+    if (!(v > 1e-3 && v < 1e3)) {
+      return Fail(ErrorKind::kData,
+                  "vignetting: sensitivity {:.4g} at {:.3g} half diagonals off the centre, "
+                  "expected 0.001 to 1000",
+                  v, rho);
+    }
+  }
+  for (const double g : gain) {
+    if (!(g >= 1e-6 && g <= 1e6)) {
+      return Fail(ErrorKind::kData, "gain: {}, expected 1e-6 to 1e6", g);
+    }
+  }
+  return {};
+}
+
 Status Rig::Validate() const {
   if (sensors.empty() || sensors.size() > kMaxSensors) {
     return Fail(ErrorKind::kData, "sensors: {}, expected 1 to {}", sensors.size(), kMaxSensors);
@@ -122,7 +121,7 @@ Status Rig::Validate() const {
       return Fail(ErrorKind::kData, "sensor {}: name: \"{}\" twice, expected each once", i,
                   sensor.name);
     }
-    if (Status ok = CheckSensor(sensor); !ok) {
+    if (Status ok = sensor.Validate(); !ok) {
       return std::move(ok).Context(fmt::format("sensor \"{}\"", sensor.name));
     }
     // An offset larger than the stitching sphere has no picture to meet.

@@ -46,6 +46,8 @@ struct RigSensor {
   // A response of this sensor's own as the JSON object of session.json's `response`; empty = the
   // session's.
   std::string response_json;
+  // Errors begin with the member's name in rig.toml: "gain: 0, expected ...".
+  Status Validate() const;
 };
 
 // A head of several sensors that expose at one instant.

@@ -29,6 +29,7 @@ void AddToneMapCommand(CLI::App& app, CommandRun& run);
 void AddPictureCommand(CLI::App& app, CommandRun& run);
 void AddCompareCommand(CLI::App& app, CommandRun& run);
 void AddConfigCommand(CLI::App& app, CommandRun& run);
+void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

@@ -5,9 +5,9 @@
 #include <memory>
 #include <string>
 
+#include "core/session/toml.h"
 #include "daemon/cli/command.h"
 #include "daemon/config.h"
-#include "daemon/config_toml.h"
 
 namespace omnihdr {
 namespace {

@@ -26,6 +26,7 @@ constexpr std::array kCommands = {
     AddPictureCommand,
     AddCompareCommand,
     AddConfigCommand,
+    AddRigCommand,
 };
 // clang-format on
 

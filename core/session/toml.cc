@@ -1,4 +1,4 @@
-#include "daemon/config_toml.h"
+#include "core/session/toml.h"
 
 #include <fmt/format.h>
 
@@ -167,21 +167,36 @@ TomlValue Convert(const toml::node& node, int depth) {
 }
 
 void Flatten(const toml::table& table, const std::string& prefix, int depth,
+             std::vector<TomlEntry>& entries);
+
+// `key`'s heading and what is below it.
+void FlattenTable(const toml::table& table, const std::string& key, int line, int depth,
+                  std::vector<TomlEntry>& entries) {
+  TomlEntry entry{key, std::nullopt, line};
+  if (depth >= kMaxTableDepth) {
+    entry.value = TomlValue{};
+    entry.value->text = "sections nested too deep";
+  }
+  entries.push_back(std::move(entry));
+  if (depth < kMaxTableDepth) Flatten(table, key + ".", depth + 1, entries);
+}
+
+void Flatten(const toml::table& table, const std::string& prefix, int depth,
              std::vector<TomlEntry>& entries) {
-  for (const auto& [key, node] : table) {
-    TomlEntry entry;
-    entry.key = prefix + KeyPart(Decode(key.str()));
-    entry.line = static_cast<int>(key.source().begin.line);
-    const toml::table* child = node.as_table();
-    if (child == nullptr) {
-      entry.value = Convert(node, 0);
-    } else if (depth >= kMaxTableDepth) {
-      entry.value = TomlValue{};
-      entry.value->text = "sections nested too deep";
-    }
-    entries.push_back(entry);
-    if (child != nullptr && depth < kMaxTableDepth) {
-      Flatten(*child, entry.key + ".", depth + 1, entries);
+  for (const auto& [name, node] : table) {
+    const std::string key = prefix + KeyPart(Decode(name.str()));
+    const int line = static_cast<int>(name.source().begin.line);
+    const toml::array* array = node.as_array();
+    if (const toml::table* child = node.as_table()) {
+      FlattenTable(*child, key, line, depth, entries);
+    } else if (array != nullptr && !array->empty() && array->is_array_of_tables()) {
+      for (std::size_t i = 0; i < array->size(); ++i) {
+        const toml::table* item = array->get(i)->as_table();
+        FlattenTable(*item, fmt::format("{}[{}]", key, i),
+                     static_cast<int>(item->source().begin.line), depth, entries);
+      }
+    } else {
+      entries.push_back({key, Convert(node, 0), line});
     }
   }
 }
@@ -253,10 +268,10 @@ std::string ShownToml(const TomlValue& value) {
   return text;
 }
 
-TomlDocument ParseToml(std::string_view text) {
+TomlDocument ParseToml(std::string_view text, std::size_t max_bytes) {
   TomlDocument document;
-  if (text.size() > kMaxConfigBytes) {
-    document.error = fmt::format("{} bytes, expected at most {}", text.size(), kMaxConfigBytes);
+  if (text.size() > max_bytes) {
+    document.error = fmt::format("{} bytes, expected at most {}", text.size(), max_bytes);
     return document;
   }
   if (const std::size_t bad = FindBadUtf8(text); bad != std::string_view::npos) {

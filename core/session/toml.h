@@ -8,7 +8,7 @@
 
 namespace omnihdr {
 
-// A TOML value as far as configuration keys use them.
+// A TOML value as far as keys of our files use them.
 struct TomlValue {
   enum class Type { kBoolean, kInteger, kFloat, kString, kArray, kOther };
   Type type = Type::kOther;
@@ -27,7 +27,9 @@ std::string TomlText(std::string_view value);
 
 // One key (value set) or one section heading (no value) of a file.
 struct TomlEntry {
-  std::string key;  // dotted; a part that is not a bare key is quoted
+  // Dotted; a part that is not a bare key is quoted. The tables of an array of tables count from 0:
+  // the second [[sensor]] is the heading "sensor[1]", its keys are "sensor[1].name".
+  std::string key;
   std::optional<TomlValue> value;
   int line = 0;
 };
@@ -39,10 +41,10 @@ struct TomlDocument {
   int error_line = 0;
 };
 
-inline constexpr std::size_t kMaxConfigBytes = std::size_t{1} << 20;
+inline constexpr std::size_t kMaxTomlBytes = std::size_t{1} << 20;
 
 // Parses untrusted text: size, UTF-8 and nesting are checked before the TOML library sees it. Never
-// throws.
-TomlDocument ParseToml(std::string_view text);
+// throws. Memory is bounded by some 200 times `max_bytes`.
+TomlDocument ParseToml(std::string_view text, std::size_t max_bytes = kMaxTomlBytes);
 
 }  // namespace omnihdr
