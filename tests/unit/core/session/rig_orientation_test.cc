@@ -190,8 +190,8 @@ TEST_P(RigOrientation, AMirroredOrTurnedTwinFails) {
 
 INSTANTIATE_TEST_SUITE_P(
     Rigs, RigOrientation, ::testing::Values("ladybug2.toml", "ladybug5plus.toml", "vuze.toml"),
-    [](const auto& info) {
-      return std::string(info.param).substr(0, std::string(info.param).find('.'));
+    [](const auto& parameter) {
+      return std::string(parameter.param).substr(0, std::string(parameter.param).find('.'));
     });
 
 }  // namespace
