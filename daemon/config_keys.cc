@@ -120,6 +120,10 @@ std::string_view NameOf(OutputOrientation orientation) {
   return orientation == OutputOrientation::kAligned ? "aligned" : "camera";
 }
 
+std::string_view NameOf(ExrPixelType type) {
+  return type == ExrPixelType::kFloat ? "float" : "half";
+}
+
 template <typename T>
 ConfigKey Choice(std::string name, std::vector<T> values, Member<T> member) {
   std::string expected;
@@ -224,6 +228,35 @@ ConfigKey SocketMode() {
       },
       [](const DaemonConfig& config) {
         return TomlText(fmt::format("{:04o}", config.api.socket_mode));
+      }};
+}
+
+ConfigKey ChromaticityKey() {
+  return {
+      "output.chromaticities",
+      "an array of 8 numbers from -1 to 2: x and y of red, green, blue and white, white inside the "
+      "triangle of the others",
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        Chromaticities& chromaticities = config.pipeline.options.chromaticities;
+        if (value.type != TomlValue::Type::kArray || value.items.size() != chromaticities.size()) {
+          return false;
+        }
+        Chromaticities read{};
+        for (std::size_t i = 0; i < read.size(); ++i) {
+          const std::optional<double> number = AsNumber(value.items[i]);
+          if (!number) return false;
+          read[i] = *number;
+        }
+        if (!WhyNotChromaticities(read).empty()) return false;
+        chromaticities = read;
+        return true;
+      },
+      [](const DaemonConfig& config) {
+        std::string text;
+        for (const double number : config.pipeline.options.chromaticities) {
+          text += (text.empty() ? "[" : ", ") + TomlText(number);
+        }
+        return text + "]";
       }};
 }
 
@@ -335,6 +368,9 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(pipeline.options.preview.tone_operator)));
   add(Number("output.preview_exposure_stops", "stops", -20, 20,
              OMNIHDR_MEMBER(pipeline.options.preview.exposure_stops)));
+  add(Choice("output.exr_type", std::vector{ExrPixelType::kHalf, ExrPixelType::kFloat},
+             OMNIHDR_MEMBER(pipeline.options.exr_type)));
+  add(ChromaticityKey());
 
   add(Number("photometry.value_low", "8-bit code values", 0, 127,
              OMNIHDR_MEMBER(pipeline.options.value_low)));
@@ -345,6 +381,8 @@ std::vector<ConfigKey> MakeKeys() {
   add(Number("photometry.gain", "code values of variance per code value", 0, 10,
              OMNIHDR_MEMBER(pipeline.options.noise.gain)));
   add(Number("photometry.prnu", "a fraction", 0, 0.2, OMNIHDR_MEMBER(pipeline.options.noise.prnu)));
+  add(NumberOrZero("photometry.white_luminance", "cd/m²", "when it is not known", 1e-6, 1e9,
+                   OMNIHDR_MEMBER(pipeline.options.white_luminance)));
 
   add(EvenPixels("stereo.width", "", 128, 4096, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
   add(Whole("stereo.labels", "a whole number", 16, 256, OMNIHDR_MEMBER(pipeline.options.labels)));

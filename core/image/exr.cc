@@ -2,6 +2,7 @@
 
 #include <ImathBox.h>
 #include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfChromaticitiesAttribute.h>
 #include <OpenEXR/ImfEnvmapAttribute.h>
 #include <OpenEXR/ImfFloatAttribute.h>
 #include <OpenEXR/ImfFrameBuffer.h>
@@ -15,6 +16,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string_view>
+#include <system_error>
+#include <utility>
 
 #include "core/base/parallel_for.h"
 #include "core/image/image_io.h"
@@ -39,7 +43,119 @@ Imf::Compression ToImf(ExrCompression compression) {
   return Imf::ZIPS_COMPRESSION;
 }
 
+Imf::PixelType ToImf(ExrPixelType type) {
+  switch (type) {
+    case ExrPixelType::kHalf:
+      return Imf::HALF;
+    case ExrPixelType::kFloat:
+      return Imf::FLOAT;
+    case ExrPixelType::kUint:
+      return Imf::UINT;
+  }
+  return Imf::FLOAT;
+}
+
+ExrPixelType FromImf(Imf::PixelType type) {
+  if (type == Imf::HALF) return ExrPixelType::kHalf;
+  return type == Imf::UINT ? ExrPixelType::kUint : ExrPixelType::kFloat;
+}
+
+std::uint16_t HalfBits(float value) {
+  return half(std::isnan(value) ? value : std::clamp(value, -kLargestHalf, kLargestHalf)).bits();
+}
+
+std::uint32_t WholeNumber(float value) {
+  constexpr float kEnd = 4294967296.0F;
+  if (!(value > 0.0F)) return 0;
+  return value < kEnd ? static_cast<std::uint32_t>(value) : 0xFFFFFFFFU;
+}
+
+// The channel's values as they are stored.
+template <typename T, typename Convert>
+Image<T> Stored(const ExrChannel& channel, const Convert& convert) {
+  Image<T> out(channel.pixels.width(), channel.pixels.height());
+  ParallelFor(out.height(), 32, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      T* row = out.row(y);
+      for (int x = 0; x < out.width(); ++x) {
+        row[x] = convert(channel.pixels.at(x, y, channel.channel));
+      }
+    }
+  });
+  return out;
+}
+
+template <typename T>
+Imf::Slice SliceOf(Imf::PixelType type, Image<T>* pixels) {
+  return {type, reinterpret_cast<char*>(pixels->data()), sizeof(T),
+          sizeof(T) * static_cast<std::size_t>(pixels->width())};
+}
+
+Imf::Chromaticities ToImf(const Chromaticities& c) {
+  const auto xy = [&c](std::size_t i) {
+    return Imath::V2f(static_cast<float>(c[i]), static_cast<float>(c[i + 1]));
+  };
+  return {xy(0), xy(2), xy(4), xy(6)};
+}
+
+// Attributes of type string or float that describe the form of the file they were read from.
+bool IsAboutTheFile(std::string_view name) {
+  return name == "type" || name == "name" || name == "pixelAspectRatio" ||
+         name == "screenWindowWidth";
+}
+
+ExrAttributes ReadAttributes(const Imf::Header& header) {
+  ExrAttributes attributes;
+  attributes.envmap = ExrEnvmap::kNone;
+  for (auto it = header.begin(); it != header.end(); ++it) {
+    const Imf::Attribute* attribute = &it.attribute();
+    if (const auto* text = dynamic_cast<const Imf::StringAttribute*>(attribute)) {
+      if (!IsAboutTheFile(it.name())) attributes.strings[it.name()] = text->value();
+    } else if (const auto* number = dynamic_cast<const Imf::FloatAttribute*>(attribute)) {
+      if (!IsAboutTheFile(it.name())) attributes.floats[it.name()] = number->value();
+    } else if (const auto* envmap = dynamic_cast<const Imf::EnvmapAttribute*>(attribute)) {
+      if (envmap->value() == Imf::ENVMAP_LATLONG) attributes.envmap = ExrEnvmap::kLatLong;
+      if (envmap->value() == Imf::ENVMAP_CUBE) attributes.envmap = ExrEnvmap::kCube;
+    } else if (const auto* colour = dynamic_cast<const Imf::ChromaticitiesAttribute*>(attribute)) {
+      const Imf::Chromaticities& c = colour->value();
+      attributes.chromaticities = Chromaticities{c.red.x,  c.red.y,  c.green.x, c.green.y,
+                                                 c.blue.x, c.blue.y, c.white.x, c.white.y};
+    }
+  }
+  return attributes;
+}
+
 }  // namespace
+
+ExrPixelType SmallestType(ImageView<const float> pixels) {
+  for (int y = 0; y < pixels.height(); ++y) {
+    const float* row = pixels.row(y);
+    for (int i = 0; i < pixels.width() * pixels.channels(); ++i) {
+      const float magnitude = std::abs(row[i]);
+      if (magnitude > kLargestHalf && std::isfinite(magnitude)) return ExrPixelType::kFloat;
+    }
+  }
+  return ExrPixelType::kHalf;
+}
+
+std::string WhyNotChromaticities(const Chromaticities& c) {
+  for (const double value : c) {
+    if (!(value >= -1.0 && value <= 2.0)) return fmt::format("{:g}, expected -1 to 2", value);
+  }
+  if (c[7] <= 0.0) return fmt::format("y of white {:g}, expected more than 0", c[7]);
+  // On which side of the line from one primary to the next white lies.
+  const auto side = [&c](std::size_t from, std::size_t to) {
+    return (c[to] - c[from]) * (c[7] - c[from + 1]) - (c[to + 1] - c[from + 1]) * (c[6] - c[from]);
+  };
+  const double red_green = side(0, 2);
+  const double green_blue = side(2, 4);
+  const double blue_red = side(4, 0);
+  const bool is_inside = (red_green > 0.0 && green_blue > 0.0 && blue_red > 0.0) ||
+                         (red_green < 0.0 && green_blue < 0.0 && blue_red < 0.0);
+  if (is_inside) return {};
+  return fmt::format("white ({:g}, {:g}), expected inside the triangle of red, green and blue",
+                     c[6], c[7]);
+}
 
 Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>& channels,
                 const ExrAttributes& attributes, ExrCompression compression) {
@@ -52,7 +168,11 @@ Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>
     Imf::Header header(width, height);
     header.compression() = ToImf(compression);
     header.zipCompressionLevel() = 2;  // level 4 and up cost twice the time for 2 % of the size
-    if (attributes.latlong) Imf::addEnvmap(header, Imf::ENVMAP_LATLONG);
+    if (attributes.envmap == ExrEnvmap::kLatLong) Imf::addEnvmap(header, Imf::ENVMAP_LATLONG);
+    if (attributes.envmap == ExrEnvmap::kCube) Imf::addEnvmap(header, Imf::ENVMAP_CUBE);
+    if (attributes.chromaticities) {
+      Imf::addChromaticities(header, ToImf(*attributes.chromaticities));
+    }
     for (const auto& [name, value] : attributes.strings) {
       header.insert(name, Imf::StringAttribute(value));
     }
@@ -62,44 +182,29 @@ Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>
     Imf::FrameBuffer frame_buffer;
     std::vector<Image<std::uint16_t>> halves(channels.size());
     std::vector<Image<float>> floats(channels.size());
+    std::vector<Image<std::uint32_t>> numbers(channels.size());
     for (std::size_t k = 0; k < channels.size(); ++k) {
       const ExrChannel& channel = channels[k];
       if (channel.pixels.width() != width || channel.pixels.height() != height) {
         return Fail(ErrorKind::kSoftware, "{}: channel {} is {}x{}, expected {}x{}", path.string(),
                     channel.name, channel.pixels.width(), channel.pixels.height(), width, height);
       }
-      const bool is_half = channel.type == ExrPixelType::kHalf;
-      header.channels().insert(channel.name, Imf::Channel(is_half ? Imf::HALF : Imf::FLOAT));
-      char* base = nullptr;
-      std::size_t value_bytes = 0;
-      if (is_half) {
-        halves[k] = Image<std::uint16_t>(width, height);
-        ParallelFor(height, 32, [&](int begin, int end) {
-          for (int y = begin; y < end; ++y) {
-            std::uint16_t* out = halves[k].row(y);
-            for (int x = 0; x < width; ++x) {
-              const float value = channel.pixels.at(x, y, channel.channel);
-              out[x] =
-                  half(std::isnan(value) ? value : std::clamp(value, -kLargestHalf, kLargestHalf))
-                      .bits();
-            }
-          }
-        });
-        base = reinterpret_cast<char*>(halves[k].data());
-        value_bytes = sizeof(std::uint16_t);
-      } else {
-        floats[k] = Image<float>(width, height);
-        for (int y = 0; y < height; ++y) {
-          for (int x = 0; x < width; ++x) {
-            floats[k].at(x, y) = channel.pixels.at(x, y, channel.channel);
-          }
-        }
-        base = reinterpret_cast<char*>(floats[k].data());
-        value_bytes = sizeof(float);
+      const Imf::PixelType type = ToImf(channel.type);
+      header.channels().insert(channel.name, Imf::Channel(type));
+      switch (channel.type) {
+        case ExrPixelType::kHalf:
+          halves[k] = Stored<std::uint16_t>(channel, HalfBits);
+          frame_buffer.insert(channel.name, SliceOf(type, &halves[k]));
+          break;
+        case ExrPixelType::kFloat:
+          floats[k] = Stored<float>(channel, [](float value) { return value; });
+          frame_buffer.insert(channel.name, SliceOf(type, &floats[k]));
+          break;
+        case ExrPixelType::kUint:
+          numbers[k] = Stored<std::uint32_t>(channel, WholeNumber);
+          frame_buffer.insert(channel.name, SliceOf(type, &numbers[k]));
+          break;
       }
-      frame_buffer.insert(channel.name,
-                          Imf::Slice(is_half ? Imf::HALF : Imf::FLOAT, base, value_bytes,
-                                     value_bytes * static_cast<std::size_t>(width)));
     }
     Imf::OutputFile file(path.c_str(), header, WorkerCount());
     file.setFrameBuffer(frame_buffer);
@@ -108,6 +213,20 @@ Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>
     return Fail(ErrorKind::kIo, "{}: {}", path.string(), e.what());
   }
   return {};
+}
+
+Status WriteExrAtomic(const std::filesystem::path& path, const std::vector<ExrChannel>& channels,
+                      const ExrAttributes& attributes, ExrCompression compression) {
+  std::filesystem::path temporary = path;
+  temporary += ".tmp";
+  Status written = WriteExr(temporary, channels, attributes, compression);
+  std::error_code error;
+  if (written) std::filesystem::rename(temporary, path, error);
+  if (written && !error) return {};
+  std::error_code ignored;
+  std::filesystem::remove(temporary, ignored);
+  OMNIHDR_TRY(std::move(written));
+  return Fail(ErrorKind::kCannotCreate, "{}: {}", path.string(), error.message());
 }
 
 Result<ExrImage> ReadExr(const std::filesystem::path& path) {
@@ -141,6 +260,7 @@ Result<ExrImage> ReadExr(const std::filesystem::path& path) {
         return Fail(ErrorKind::kData, "{}: channel {} is subsampled, expected full resolution",
                     path.string(), it.name());
       }
+      image.types[it.name()] = FromImf(it.channel().type);
       Image<float>& pixels =
           image.channels.emplace(it.name(), Image<float>(image.width, image.height)).first->second;
       const std::ptrdiff_t offset =
@@ -151,11 +271,7 @@ Result<ExrImage> ReadExr(const std::filesystem::path& path) {
     }
     file.setFrameBuffer(frame_buffer);
     file.readPixels(window.min.y, window.max.y);
-    for (auto it = file.header().begin(); it != file.header().end(); ++it) {
-      if (const auto* text = dynamic_cast<const Imf::StringAttribute*>(&it.attribute())) {
-        image.strings[it.name()] = text->value();
-      }
-    }
+    image.attributes = ReadAttributes(file.header());
     return image;
   } catch (const std::exception& e) {
     return Fail(ErrorKind::kData, "{}: {}", path.string(), e.what());

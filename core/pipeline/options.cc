@@ -18,6 +18,15 @@ Status PipelineOptions::Validate() const {
   OMNIHDR_TRY(InRange("output.preview_quality", preview_quality, 1, 100));
   OMNIHDR_TRY(InRange("output.preview_exposure_stops", preview.exposure_stops, -20, 20));
   OMNIHDR_TRY(preview.Validate());
+  if (exr_type == ExrPixelType::kUint) {
+    return Fail(ErrorKind::kConfig, "output.exr_type: uint, expected half or float");
+  }
+  if (const std::string reason = WhyNotChromaticities(chromaticities); !reason.empty()) {
+    return Fail(ErrorKind::kConfig, "output.chromaticities: {}", reason);
+  }
+  if (white_luminance != 0.0) {
+    OMNIHDR_TRY(InRange("photometry.white_luminance", white_luminance, 1e-6, 1e9));
+  }
   OMNIHDR_TRY(InRange("photometry.value_low", value_low, 0, 127));
   OMNIHDR_TRY(InRange("photometry.value_high", value_high, 128, 255));
   OMNIHDR_TRY(InRange("photometry.read_noise", noise.read, 0, 50));

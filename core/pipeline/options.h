@@ -3,6 +3,7 @@
 #include <string>
 
 #include "core/base/result.h"
+#include "core/image/exr.h"
 #include "core/photometry/noise_model.h"
 #include "core/photometry/tonemap.h"
 
@@ -23,6 +24,11 @@ struct PipelineOptions {
   OutputOrientation orientation = OutputOrientation::kAligned;
   int preview_quality = 90;
   ToneMapOptions preview;  // of preview.jpg; its shape follows from the picture
+  // Of radiance.exr; half becomes float where it cannot hold the values.
+  ExrPixelType exr_type = ExrPixelType::kHalf;
+  // What the radiance's red, green, blue and white are, as the EXR files tell; they are not
+  // converted.
+  Chromaticities chromaticities = kRec709;
   // PNG or JPEG the size of a frame, white = use; empty = no mask. Relative paths: to the working
   // directory (command line) or to the config file.
   std::string mask_file;  // [input] mask
@@ -30,6 +36,9 @@ struct PipelineOptions {
   double value_low = 10.0;  // usable range of pixel values in 8-bit units (thesis 5.2.2)
   double value_high = 245.0;
   NoiseModel noise = {.read = 0.0};  // read noise 0: estimated from each frame
+  // Luminance of radiance (1, 1, 1) in cd/m², of a camera that is calibrated absolutely; 0 =
+  // unknown.
+  double white_luminance = 0.0;
   // [stereo]
   int stereo_width = 1024;         // of the equirectangular matching grid
   int labels = 96;                 // inverse-distance hypotheses

@@ -310,9 +310,14 @@ class SessionProcessorImpl final : public SessionProcessor {
     context.reference_exposure_s = reference.exposure.EffectiveSeconds();
     context.camera = info_.camera.model;
     if (!info_.camera.serial.empty()) context.camera += " " + info_.camera.serial;
+    context.utc = reference.utc;
+    context.gnss = reference.gnss;
     context.preview_quality = options_.preview_quality;
     context.preview = options_.preview;
     context.heading_deg = reference.heading_deg;
+    context.exr_type = options_.exr_type;
+    context.chromaticities = options_.chromaticities;
+    context.white_luminance = options_.white_luminance;
     return context;
   }
 

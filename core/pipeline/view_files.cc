@@ -1,6 +1,7 @@
 #include "core/pipeline/view_files.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <numbers>
 
@@ -11,8 +12,6 @@
 
 namespace omnihdr {
 namespace {
-
-constexpr float kLargestSafeHalf = 60000.0F;
 
 struct RadianceStatistics {
   double least = 0.0;
@@ -49,6 +48,38 @@ RadianceStatistics Statistics(const MergedView& view, bool is_latlong) {
   return s;
 }
 
+// OpenEXR's capDate, "YYYY:MM:DD hh:mm:ss".
+std::string CaptureDate(UtcTime utc) {
+  namespace chrono = std::chrono;
+  const auto second =
+      chrono::floor<chrono::seconds>(chrono::sys_time<Nanoseconds>(Nanoseconds(utc.ns())));
+  const auto day = chrono::floor<chrono::days>(second);
+  const chrono::year_month_day date(day);
+  const chrono::hh_mm_ss time(second - day);
+  return fmt::format("{:04}:{:02}:{:02} {:02}:{:02}:{:02}", static_cast<int>(date.year()),
+                     static_cast<unsigned>(date.month()), static_cast<unsigned>(date.day()),
+                     time.hours().count(), time.minutes().count(), time.seconds().count());
+}
+
+// What every EXR file of a view says.
+ExrAttributes AttributesOf(const ViewContext& context, PositionId position, bool is_latlong) {
+  ExrAttributes attributes;
+  attributes.envmap = is_latlong ? ExrEnvmap::kLatLong : ExrEnvmap::kNone;
+  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
+  attributes.strings["omnihdrPosition"] = fmt::format("{}", Value(position));
+  if (!context.camera.empty()) attributes.strings["omnihdrCamera"] = context.camera;
+  if (context.utc) {
+    attributes.strings["capDate"] = CaptureDate(*context.utc);
+    attributes.floats["utcOffset"] = 0.0;
+  }
+  if (context.gnss && context.gnss->fix > 0) {
+    attributes.floats["longitude"] = std::remainder(context.gnss->lon_deg, 360.0);
+    attributes.floats["latitude"] = context.gnss->lat_deg;
+    attributes.floats["altitude"] = context.gnss->alt_m;
+  }
+  return attributes;
+}
+
 Image<float> AsFloat(const Image<std::uint8_t>& image) {
   Image<float> out(image.width(), image.height());
   std::transform(image.values().begin(), image.values().end(), out.values().begin(),
@@ -83,19 +114,19 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
   record->radiance_min = statistics.least;
   record->radiance_max = statistics.largest;
   record->valid_fraction = statistics.valid_fraction;
-  const bool needs_float = statistics.largest > kLargestSafeHalf;
-  if (needs_float) {
+  ExrPixelType type = context.exr_type;
+  if (type == ExrPixelType::kHalf && SmallestType(view.radiance) != type) {
+    type = ExrPixelType::kFloat;
     record->warnings.push_back(fmt::format(
         "radiance up to {:.0f} exceeds half precision: stored as float", statistics.largest));
   }
-  ExrAttributes attributes;
-  attributes.latlong = is_latlong;
-  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
-  attributes.strings["omnihdrPosition"] = fmt::format("{}", Value(position));
-  if (!context.camera.empty()) attributes.strings["omnihdrCamera"] = context.camera;
+  const ExrAttributes attributes = AttributesOf(context, position, is_latlong);
   ExrAttributes radiance_attributes = attributes;
+  radiance_attributes.chromaticities = context.chromaticities;
   radiance_attributes.floats["expTime"] = context.reference_exposure_s;
-  const ExrPixelType type = needs_float ? ExrPixelType::kFloat : ExrPixelType::kHalf;
+  if (context.white_luminance > 0.0) {
+    radiance_attributes.floats["whiteLuminance"] = context.white_luminance;
+  }
   const Image<float> origin = AsFloat(view.origin);
   OMNIHDR_TRY(WriteExr(directory / "radiance.exr",
                        {{"R", view.radiance, type, 0},

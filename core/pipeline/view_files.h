@@ -4,7 +4,9 @@
 #include <optional>
 #include <string>
 
+#include "core/base/clock.h"
 #include "core/base/result.h"
+#include "core/image/exr.h"
 #include "core/photometry/measurement.h"
 #include "core/photometry/tonemap.h"
 #include "core/pipeline/options.h"
@@ -18,19 +20,27 @@ namespace omnihdr {
 struct ViewContext {
   std::string mode;  // "spatiotemporal" or "temporal"
   double reference_exposure_s = 0.0;
-  std::string camera;  // model and serial
+  std::string camera;           // model and serial
+  std::optional<UtcTime> utc;   // when the reference frame was triggered
+  std::optional<GnssFix> gnss;  // where; a record without a fix counts as none
   int preview_quality = 90;
   ToneMapOptions preview;
   // Compass bearing of the camera's forward axis, when the frame's record has it.
   std::optional<double> heading_deg;
+  ExrPixelType exr_type = ExrPixelType::kHalf;
+  Chromaticities chromaticities = kRec709;
+  double white_luminance = 0.0;  // cd/m² of radiance (1, 1, 1); 0 = unknown
 };
 
 // view.json's content for a finished view.
 ViewRecord RecordOfView(const FinishedView& view, const std::string& mode);
 
 // Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`. The radiance is
-// stored as half; as float when it exceeds what half can hold (a warning in view.json says so).
-// Channel "origin" beside R, G, B holds PixelOrigin values.
+// stored as context.exr_type says; as float in any case when it exceeds what half can hold (a
+// warning in view.json says so). Channel "origin" beside R, G, B holds PixelOrigin values.
+// OpenEXR's standard attributes, where they are known: envmap, chromaticities, whiteLuminance,
+// expTime, capDate with utcOffset 0, longitude, latitude, altitude; `software`, `omnihdrCamera` and
+// `omnihdrPosition` beside them.
 Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView& view,
                       const ViewContext& context);
 

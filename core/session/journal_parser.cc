@@ -41,8 +41,9 @@ Result<GnssFix> ReadGnss(const ObjectReader& line) {
   OMNIHDR_ASSIGN(fix.lon_deg, gnss.Number("lon", -360.0, 360.0, "degrees in [-360, 360]"));
   OMNIHDR_ASSIGN(fix.alt_m, gnss.NumberOr("alt_m", 0.0, -1e7, 1e7, "metres in [-1e7, 1e7]"));
   OMNIHDR_ASSIGN(fix.time, gnss.StringOr("time", ""));
+  // Who writes a position and says nothing of its quality means it.
   OMNIHDR_ASSIGN(const std::int64_t kind,
-                 gnss.IntegerOr("fix", 0, 0, 255, "a whole number in [0, 255]"));
+                 gnss.IntegerOr("fix", 1, 0, 255, "a whole number in [0, 255]"));
   fix.fix = static_cast<int>(kind);
   return fix;
 }

@@ -2,7 +2,6 @@
 
 #include <CLI/CLI.hpp>
 #include <cmath>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -27,6 +26,7 @@ struct MergeArguments {
   std::string mask;
   std::string preview;
   std::string response = "linear";
+  std::string exr_type = "half";
   int bits = 16;
 };
 
@@ -87,37 +87,27 @@ Result<int> Merge(const MergeArguments& arguments) {
     clipped += static_cast<PixelOrigin>(origin) == PixelOrigin::kClipped ? 1 : 0;
   }
   for (const float v : view.radiance.values()) largest = std::max(largest, v);
-  constexpr float kLargestHalf = 60000.0F;
-  const ExrPixelType type = largest > kLargestHalf ? ExrPixelType::kFloat : ExrPixelType::kHalf;
+  const ExrPixelType type =
+      arguments.exr_type == "float" ? ExrPixelType::kFloat : SmallestType(view.radiance);
   Image<float> origin(view.origin.width(), view.origin.height());
   std::copy(view.origin.values().begin(), view.origin.values().end(), origin.values().begin());
   ExrAttributes attributes;
-  attributes.latlong = false;
+  attributes.envmap = ExrEnvmap::kNone;
   attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
-  const std::filesystem::path out = arguments.out;
-  std::filesystem::path temporary = out;
-  temporary += ".tmp";
-  Status written = WriteExr(temporary,
-                            {{"R", view.radiance, type, 0},
-                             {"G", view.radiance, type, 1},
-                             {"B", view.radiance, type, 2},
-                             {"origin", origin, ExrPixelType::kHalf, 0}},
-                            attributes, ExrCompression::kPiz);
-  std::error_code error;
-  if (written) std::filesystem::rename(temporary, out, error);
-  if (!written || error) {
-    std::error_code ignored;
-    std::filesystem::remove(temporary, ignored);
-    OMNIHDR_TRY(std::move(written));
-    return Fail(ErrorKind::kCannotCreate, "{}: {}", out.string(), error.message());
-  }
+  attributes.chromaticities = kRec709;
+  OMNIHDR_TRY(WriteExrAtomic(arguments.out,
+                             {{"R", view.radiance, type, 0},
+                              {"G", view.radiance, type, 1},
+                              {"B", view.radiance, type, 2},
+                              {"origin", origin, ExrPixelType::kHalf, 0}},
+                             attributes, ExrCompression::kPiz));
   if (!arguments.preview.empty()) {
     OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
                    EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92));
     OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
   }
   fmt::print("{}: {} exposures of {}x{}, radiance up to {:.4g}, {:.2f} % clipped in every one\n",
-             out.string(), images.size(), images.front().width(), images.front().height(), largest,
+             arguments.out, images.size(), images.front().width(), images.front().height(), largest,
              100.0 * static_cast<double>(clipped) / static_cast<double>(view.origin.size()));
   return 0;
 }
@@ -136,6 +126,11 @@ void AddMergeCommand(CLI::App& app, CommandRun& run) {
   command
       ->add_option("--response", arguments->response,
                    "linear, srgb, or a file: a session.json, or what calibrate response wrote")
+      ->capture_default_str();
+  command
+      ->add_option("--exr-type", arguments->exr_type,
+                   "half or float numbers in the EXR file; half becomes float where it must")
+      ->check(CLI::IsMember({"half", "float"}))
       ->capture_default_str();
   command->add_option("--bits", arguments->bits, "significant bits of 16-bit images")
       ->check(CLI::Range(8, 16))

@@ -24,6 +24,7 @@ struct ProcessArguments {
   std::string mask;
   std::string mode;
   std::string config;
+  std::string exr_type;
   int width = 0;
   int workers = 0;
   bool resume = false;
@@ -42,6 +43,8 @@ Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
   if (arguments.mode == "spatiotemporal") options.mode = ProcessMode::kSpatiotemporal;
   if (arguments.mode == "temporal") options.mode = ProcessMode::kTemporal;
   if (arguments.mode == "auto") options.mode = ProcessMode::kAuto;
+  if (arguments.exr_type == "half") options.exr_type = ExrPixelType::kHalf;
+  if (arguments.exr_type == "float") options.exr_type = ExrPixelType::kFloat;
   if (arguments.width != 0) options.output_width = arguments.width;
   return options;
 }
@@ -171,6 +174,10 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
   command->add_option("--config", arguments->config, "take pipeline options from this file");
   command->add_option("--width", arguments->width, "width of the output pictures (output.width)")
       ->check(CLI::Range(64, 16384));
+  command
+      ->add_option("--exr-type", arguments->exr_type,
+                   "half or float numbers in radiance.exr (output.exr_type)")
+      ->check(CLI::IsMember({"half", "float"}));
   command->add_option("--workers", arguments->workers, "threads (default: one per processor)")
       ->check(CLI::Range(1, 256));
   CLI::Option* resume =

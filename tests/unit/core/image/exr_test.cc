@@ -10,10 +10,12 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <iterator>
 #include <limits>
+#include <map>
 #include <random>
 #include <string>
 
@@ -115,13 +117,15 @@ TEST_F(Exr, WhatHalfCannotHoldIsClampedAndNanIsKept) {
 
 TEST_F(Exr, ALatLongPictureSaysSo) {
   const Image<float> image(8, 4, 1, 1.0F);
-  ASSERT_TRUE(WriteExr(path(), {{"Y", image}}, {.latlong = true, .strings = {}, .floats = {}}));
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image}},
+                       {.envmap = ExrEnvmap::kLatLong, .strings = {}, .floats = {}}));
   {
     const Imf::InputFile file(path().c_str());
     ASSERT_TRUE(Imf::hasEnvmap(file.header()));
     EXPECT_EQ(Imf::envmap(file.header()), Imf::ENVMAP_LATLONG);
   }
-  ASSERT_TRUE(WriteExr(path(), {{"Y", image}}, {.latlong = false, .strings = {}, .floats = {}}));
+  ASSERT_TRUE(
+      WriteExr(path(), {{"Y", image}}, {.envmap = ExrEnvmap::kNone, .strings = {}, .floats = {}}));
   const Imf::InputFile file(path().c_str());
   EXPECT_FALSE(Imf::hasEnvmap(file.header()));
 }
@@ -129,16 +133,111 @@ TEST_F(Exr, ALatLongPictureSaysSo) {
 TEST_F(Exr, AttributesAreReadBack) {
   const Image<float> image(8, 4, 1, 1.0F);
   ASSERT_TRUE(WriteExr(path(), {{"Y", image}},
-                       {.latlong = true,
+                       {.envmap = ExrEnvmap::kLatLong,
                         .strings = {{"software", "a test"}, {"omnihdrPosition", "12"}},
                         .floats = {{"expTime", 0.25}}}));
   const Result<ExrImage> back = ReadExr(path());
   ASSERT_TRUE(back) << back.error().message;
-  EXPECT_EQ(back->strings.at("software"), "a test");
-  EXPECT_EQ(back->strings.at("omnihdrPosition"), "12");
+  EXPECT_EQ(back->attributes.strings.at("software"), "a test");
+  EXPECT_EQ(back->attributes.strings.at("omnihdrPosition"), "12");
   const Imf::InputFile file(path().c_str());
   ASSERT_TRUE(Imf::hasExpTime(file.header()));
   EXPECT_FLOAT_EQ(Imf::expTime(file.header()), 0.25F);
+}
+
+TEST_F(Exr, PrimariesEnvmapAndTypesAreReadBack) {
+  const Image<float> image(4, 24, 1, 3.0F);
+  ExrAttributes attributes;
+  attributes.envmap = ExrEnvmap::kCube;
+  attributes.floats["expTime"] = 0.5;
+  attributes.chromaticities = {0.7, 0.3, 0.2, 0.75, 0.1, 0.0, 0.31, 0.32};
+  ASSERT_TRUE(WriteExr(path(),
+                       {{"H", image, ExrPixelType::kHalf, 0},
+                        {"F", image, ExrPixelType::kFloat, 0},
+                        {"U", image, ExrPixelType::kUint, 0}},
+                       attributes));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  EXPECT_EQ(back->attributes.envmap, ExrEnvmap::kCube);
+  ASSERT_TRUE(back->attributes.chromaticities);
+  for (std::size_t i = 0; i < 8; ++i) {
+    EXPECT_NEAR((*back->attributes.chromaticities)[i], (*attributes.chromaticities)[i], 1e-6);
+  }
+  // Nothing but what was written: not the file's own form (pixelAspectRatio, ...).
+  EXPECT_EQ(back->attributes.floats, (std::map<std::string, double>{{"expTime", 0.5}}));
+  EXPECT_TRUE(back->attributes.strings.empty());
+  EXPECT_EQ(back->types.at("H"), ExrPixelType::kHalf);
+  EXPECT_EQ(back->types.at("F"), ExrPixelType::kFloat);
+  EXPECT_EQ(back->types.at("U"), ExrPixelType::kUint);
+  for (const char* name : {"H", "F", "U"}) EXPECT_EQ(back->channels.at(name).at(3, 20), 3.0F);
+}
+
+TEST_F(Exr, LabelsAreWholeNumbersWhateverComes) {
+  Image<float> image(5, 1);
+  image.at(0, 0) = 16'777'216.0F;
+  image.at(1, 0) = kNan;
+  image.at(2, 0) = -3.0F;
+  image.at(3, 0) = kInfinity;
+  image.at(4, 0) = 2.9F;
+  ASSERT_TRUE(WriteExr(path(), {{"id", image, ExrPixelType::kUint, 0}}, {}));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  const Image<float>& id = back->channels.at("id");
+  EXPECT_EQ(id.at(0, 0), 16'777'216.0F);
+  EXPECT_EQ(id.at(1, 0), 0.0F);
+  EXPECT_EQ(id.at(2, 0), 0.0F);
+  EXPECT_EQ(id.at(3, 0), 4294967296.0F);
+  EXPECT_EQ(id.at(4, 0), 2.0F);
+}
+
+TEST(SmallestType, IsHalfUnlessAFiniteValueExceedsIt) {
+  Image<float> image(3, 2, 3, 1.0F);
+  EXPECT_EQ(SmallestType(image), ExrPixelType::kHalf);
+  image.at(2, 1, 2) = kInfinity;
+  image.at(1, 1, 2) = kNan;
+  image.at(0, 0, 0) = 65504.0F;
+  EXPECT_EQ(SmallestType(image), ExrPixelType::kHalf);
+  image.at(2, 1, 2) = -65505.0F;
+  EXPECT_EQ(SmallestType(image), ExrPixelType::kFloat);
+}
+
+TEST(Primaries, MustHoldTheirWhite) {
+  EXPECT_EQ(WhyNotChromaticities(kRec709), "");
+  // ACES AP0 (SMPTE ST 2065-1): primaries outside the spectrum are primaries all the same.
+  EXPECT_EQ(WhyNotChromaticities({0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767}), "");
+  EXPECT_NE(WhyNotChromaticities({0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3, 0.3}), "");
+  EXPECT_NE(WhyNotChromaticities({0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.0}), "");
+  EXPECT_NE(WhyNotChromaticities({0.64, 0.33, 0.30, 0.60, 0.15, 0.06, kNan, 0.3}), "");
+  EXPECT_NE(WhyNotChromaticities({0.64, 0.33, 0.30, 3.0, 0.15, 0.06, 0.3127, 0.329}), "");
+}
+
+// What an independent program reads: OpenEXR's own, when it is installed.
+TEST_F(Exr, ExrheaderReadsTheStandardAttributes) {
+  if (std::system("command -v exrheader >/dev/null") != 0) {
+    GTEST_SKIP() << "exrheader is not installed (package openexr): skipped";
+  }
+  const Image<float> image(8, 4, 3, 1.0F);
+  ExrAttributes attributes;
+  attributes.strings = {{"software", "a test"}, {"capDate", "2026:02:03 04:05:06"}};
+  attributes.floats = {{"expTime", 0.25}, {"latitude", 45.5}, {"whiteLuminance", 179.0}};
+  attributes.chromaticities = kRec709;
+  ASSERT_TRUE(WriteExr(path(),
+                       {{"R", image, ExrPixelType::kHalf, 0},
+                        {"G", image, ExrPixelType::kHalf, 1},
+                        {"B", image, ExrPixelType::kFloat, 2}},
+                       attributes, ExrCompression::kPiz));
+  const std::filesystem::path text = directory_.path() / "header.txt";
+  ASSERT_EQ(std::system(("exrheader '" + path().string() + "' >'" + text.string() + "'").c_str()),
+            0);
+  const std::string header = FileBytes(text);
+  for (const char* line :
+       {"envmap (type envmap): latitude-longitude map",
+        "capDate (type string): \"2026:02:03 04:05:06\"", "expTime (type float): 0.25",
+        "latitude (type float): 45.5", "whiteLuminance (type float): 179",
+        "software (type string): \"a test\"", "R, 16-bit floating-point, sampling 1 1",
+        "B, 32-bit floating-point, sampling 1 1", "red   (0.64 0.33)", "white (0.3127 0.329)"}) {
+    EXPECT_NE(header.find(line), std::string::npos) << line << " in\n" << header;
+  }
 }
 
 TEST_F(Exr, ADataWindowAwayFromTheOriginIsRead) {
@@ -206,7 +305,8 @@ TEST_F(Exr, GarbageInsideNeverCrashes) {
   const Image<float> image = Decades(21, 9);
   ASSERT_TRUE(WriteExr(
       path(), {{"R", image, ExrPixelType::kFloat, 0}, {"G", image, ExrPixelType::kHalf, 1}},
-      {.latlong = true, .strings = {{"a", "b"}}, .floats = {}}, ExrCompression::kPiz));
+      {.envmap = ExrEnvmap::kLatLong, .strings = {{"a", "b"}}, .floats = {}},
+      ExrCompression::kPiz));
   const std::string whole = FileBytes(path());
   std::mt19937 generator(5);
   const std::filesystem::path bad = directory_.path() / "bad.exr";

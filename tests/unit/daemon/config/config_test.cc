@@ -276,6 +276,23 @@ TEST(Config, ShortMalformedTextsAreErrorsAndNothingWorse) {
   }
 }
 
+TEST(Config, PrimariesAreEightNumbersAroundTheirWhite) {
+  const LoadedConfig loaded = ParseConfig(
+      "output.chromaticities = [0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 1]\n", "x");
+  EXPECT_FALSE(loaded.ok());  // white outside
+  const LoadedConfig rec2020 = ParseConfig(
+      "output.chromaticities = [0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329]\n", "x");
+  ASSERT_TRUE(rec2020.ok());
+  EXPECT_EQ(rec2020.config.pipeline.options.chromaticities[3], 0.797);
+  for (const char* text : {"[]", "[1, 2, 3]", "0.3", "\"rec709\"", "[true, 0, 0, 0, 0, 0, 0, 0]",
+                           "[0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329, 0.1]"}) {
+    EXPECT_NE(OnlyProblem(fmt::format("output.chromaticities = {}\n", text))
+                  .find("expected an array of 8 numbers from -1 to 2"),
+              std::string::npos)
+        << text;
+  }
+}
+
 TEST(Config, WhatItAcceptsThePipelineAccepts) {
   const std::regex range(R"(in \[([-+.e0-9]+), ([-+.e0-9]+)\])");
   int checked = 0;
