@@ -138,12 +138,13 @@ Result<std::vector<std::byte>> Encode(const char* extension, const cv::Mat& mat,
 }
 
 template <typename T>
-Result<std::vector<std::byte>> EncodePngOf(ImageView<const T> image, int compression) {
+Result<std::vector<std::byte>> EncodeLossless(const char* extension, ImageView<const T> image,
+                                              const std::vector<int>& parameters) {
   if (image.empty() || (image.channels() != 1 && image.channels() != 3)) {
-    return Fail(ErrorKind::kSoftware, "PNG: {}x{} with {} channels, expected 1 or 3 channels",
-                image.width(), image.height(), image.channels());
+    return Fail(ErrorKind::kSoftware, "{}: {}x{} with {} channels, expected 1 or 3 channels",
+                extension, image.width(), image.height(), image.channels());
   }
-  return Encode(".png", ToBgrMat(image), {cv::IMWRITE_PNG_COMPRESSION, compression});
+  return Encode(extension, ToBgrMat(image), parameters);
 }
 
 bool Holds(const PhotoSphere& sphere, int width, int height) {
@@ -254,11 +255,19 @@ Result<DecodedImage> DecodeImage(std::span<const std::byte> bytes, const std::st
 }
 
 Result<std::vector<std::byte>> EncodePng(ImageView<const std::uint8_t> image, int compression) {
-  return EncodePngOf(image, compression);
+  return EncodeLossless(".png", image, {cv::IMWRITE_PNG_COMPRESSION, compression});
 }
 
 Result<std::vector<std::byte>> EncodePng(ImageView<const std::uint16_t> image, int compression) {
-  return EncodePngOf(image, compression);
+  return EncodeLossless(".png", image, {cv::IMWRITE_PNG_COMPRESSION, compression});
+}
+
+Result<std::vector<std::byte>> EncodeTiff(ImageView<const std::uint8_t> image) {
+  return EncodeLossless(".tiff", image, {});
+}
+
+Result<std::vector<std::byte>> EncodeTiff(ImageView<const std::uint16_t> image) {
+  return EncodeLossless(".tiff", image, {});
 }
 
 namespace {

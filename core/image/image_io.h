@@ -36,6 +36,8 @@ Result<DecodedImage> DecodeImage(std::span<const std::byte> bytes, const std::st
 // Encodes 8- or 16-bit images (1 or 3 channels, RGB). `compression` 0..9 as zlib's.
 Result<std::vector<std::byte>> EncodePng(ImageView<const std::uint8_t> image, int compression = 1);
 Result<std::vector<std::byte>> EncodePng(ImageView<const std::uint16_t> image, int compression = 1);
+Result<std::vector<std::byte>> EncodeTiff(ImageView<const std::uint8_t> image);
+Result<std::vector<std::byte>> EncodeTiff(ImageView<const std::uint16_t> image);
 // Where an equirectangular picture lies on the sphere, for viewers of 360° photos: Google's Photo
 // Sphere XMP metadata (GPano). Other projections have no viewers and must not be labelled so.
 struct PhotoSphere {

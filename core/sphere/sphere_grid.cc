@@ -173,10 +173,19 @@ const Edge& EdgeAt(SphereGridKind kind, int face, Side side) {
 // The largest coordinate that still belongs to the pixel before `end`.
 double Before(double value, int end) { return std::min(value, std::nextafter(end, 0.0)); }
 
-double MeanPixelAngle(const SphereGrid& grid) {
-  if (grid.faces() == 1) return 2.0 * kPi / grid.width();
-  const double pixels = static_cast<double>(grid.faces()) * grid.face_width() * grid.face_height();
-  return std::sqrt(4.0 * kPi / pixels);
+// Width of the coarsest pixels: at the equator, in the middle of a face.
+double PixelAngle(const SphereGrid& grid) {
+  switch (grid.kind()) {
+    case SphereGridKind::kEquirectangular:
+    case SphereGridKind::kCylindrical:
+      break;
+    case SphereGridKind::kCubeCross:
+    case SphereGridKind::kCubeStrip:
+      return 2.0 / grid.face_width();
+    case SphereGridKind::kRhombicDodecahedron:
+      return kFaceAngle * std::sqrt(3.0 / std::sqrt(8.0)) / grid.face_width();
+  }
+  return 2.0 * kPi / grid.width();
 }
 
 }  // namespace
@@ -188,7 +197,7 @@ std::string_view ToString(SphereGridKind kind) {
     case SphereGridKind::kCylindrical:
       return "cylinder";
     case SphereGridKind::kCubeCross:
-      return "cube";
+      return "cube-cross";
     case SphereGridKind::kCubeStrip:
       return "cube-strip";
     case SphereGridKind::kRhombicDodecahedron:
@@ -459,8 +468,8 @@ SphereGrid GridOfSize(SphereGridKind kind, int size, double z_min, double z_max)
 }
 
 SphereGrid GridAsFineAs(const SphereGrid& source, SphereGridKind kind, double z_min, double z_max) {
-  const double unit = MeanPixelAngle(GridOfSize(kind, 1, z_min, z_max));
-  const double size = unit / MeanPixelAngle(source);
+  const double unit = PixelAngle(GridOfSize(kind, 1, z_min, z_max));
+  const double size = unit / PixelAngle(source);
   const bool is_even = kind == SphereGridKind::kEquirectangular;
   const int rounded =
       is_even ? 2 * static_cast<int>(std::lround(size / 2.0)) : static_cast<int>(std::lround(size));

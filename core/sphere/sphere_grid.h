@@ -17,7 +17,7 @@ enum class SphereGridKind {
   kRhombicDodecahedron  // RD-map, 4 × 3 faces (Fu, Wan, Wong and Leung 2009)
 };
 
-// "latlong", "cylinder", "cube", "cube-strip", "rdmap".
+// "latlong", "cylinder", "cube-cross", "cube-strip", "rdmap".
 std::string_view ToString(SphereGridKind kind);
 std::optional<SphereGridKind> SphereGridKindFromString(std::string_view name);
 
@@ -112,8 +112,9 @@ class SphereGrid {
   Projection band_;  // of equirectangular and cylindrical
 };
 
-// The grid of a kind whose pixels are about as fine as those of `source`, for the default size of a
-// conversion. A cylinder gets the band [z_min, z_max] and square pixels at the horizon.
+// The grid of a kind whose coarsest pixels are about as fine as those of `source`, so that nothing
+// is lost: the default size of a conversion. A cylinder gets the band [z_min, z_max] and square
+// pixels at the horizon.
 SphereGrid GridAsFineAs(const SphereGrid& source, SphereGridKind kind, double z_min, double z_max);
 // The grid of a kind of a given size: the picture's width (equirectangular, cylinder), or a face's.
 SphereGrid GridOfSize(SphereGridKind kind, int size, double z_min, double z_max);

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cassert>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <numbers>
 #include <optional>
@@ -74,6 +76,64 @@ OMNIHDR_ALWAYS_INLINE void BilinearRow(const T* source, const std::uint32_t* bas
   }
 }
 
+// Three channels of a pixel in one register. A load takes up to three source pixels from the left
+// one on, a store four values: the tables keep the first inside the picture, and a row's last pixel
+// is not made this way.
+template <typename T, std::size_t kBytes>
+using Vector [[gnu::vector_size(kBytes)]] = T;
+
+template <typename V, typename T>
+OMNIHDR_ALWAYS_INLINE V Load(const T* from) {
+  V v;
+  std::memcpy(&v, from, sizeof(V));
+  return v;
+}
+
+OMNIHDR_ALWAYS_INLINE void ColourRow(const float* source, const std::uint32_t* base,
+                                     const std::uint32_t* fraction, int count, std::size_t below,
+                                     float* out) {
+  using Pixel = Vector<float, 16>;
+  for (int x = 0; x + 1 < count; ++x) {
+    const float* p = source + static_cast<std::size_t>(base[x]) * 3;
+    const float ax = static_cast<float>(fraction[x] >> 16U) * kUnit;
+    const float ay = static_cast<float>(fraction[x] & 0xFFFFU) * kUnit;
+    const auto left = Load<Pixel>(p);
+    const auto left_below = Load<Pixel>(p + below);
+    const Pixel upper = left + ax * (Load<Pixel>(p + 3) - left);
+    const Pixel lower = left_below + ax * (Load<Pixel>(p + below + 3) - left_below);
+    const Pixel value = upper + ay * (lower - upper);
+    std::memcpy(out + static_cast<std::ptrdiff_t>(x) * 3, &value, sizeof(value));
+  }
+}
+
+OMNIHDR_ALWAYS_INLINE void ColourRow(const std::uint8_t* source, const std::uint32_t* base,
+                                     const std::uint32_t* fraction, int count, std::size_t below,
+                                     std::uint8_t* out) {
+  using Bytes = Vector<std::uint8_t, 8>;
+  using Words = Vector<std::uint16_t, 16>;
+  using Numbers = Vector<std::uint32_t, 16>;
+  using NumberBytes = Vector<std::uint8_t, 16>;
+  for (int x = 0; x + 1 < count; ++x) {
+    const std::uint8_t* p = source + static_cast<std::size_t>(base[x]) * 3;
+    const std::uint32_t ax = ((fraction[x] >> 16U) + 128U) >> 8U;
+    const auto ay = static_cast<std::uint16_t>(((fraction[x] & 0xFFFFU) + 128U) >> 8U);
+    const auto above = __builtin_convertvector(Load<Bytes>(p), Words);
+    const auto under = __builtin_convertvector(Load<Bytes>(p + below), Words);
+    // At most 255 * 256.
+    const Words both = above * static_cast<std::uint16_t>(256 - ay) + under * ay;
+    // Left and right of each channel in one 32-bit number.
+    const Words pairs = __builtin_shufflevector(both, both, 0, 3, 1, 4, 2, 5, 6, 7);
+    const auto numbers = std::bit_cast<Numbers>(pairs);
+    const Numbers value =
+        ((numbers & 0xFFFFU) * (256U - ax) + (numbers >> 16U) * ax + 32768U) >> 16U;
+    const auto bytes = std::bit_cast<NumberBytes>(value);
+    const NumberBytes packed =
+        __builtin_shufflevector(bytes, bytes, 0, 4, 8, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+    const auto codes = std::bit_cast<std::array<std::uint32_t, 4>>(packed)[0];
+    std::memcpy(out + static_cast<std::ptrdiff_t>(x) * 3, &codes, sizeof(codes));
+  }
+}
+
 template <typename T>
 OMNIHDR_ALWAYS_INLINE void BilinearRowOf(int channels, const T* source, const std::uint32_t* base,
                                          const std::uint32_t* fraction, int count,
@@ -84,6 +144,14 @@ OMNIHDR_ALWAYS_INLINE void BilinearRowOf(int channels, const T* source, const st
     case 2:
       return BilinearRow<T, 2>(source, base, fraction, count, right, below, out);
     case 3:
+      if constexpr (sizeof(T) != 2) {
+        if (below >= 9) {
+          ColourRow(source, base, fraction, count, below, out);
+          const int last = count - 1;
+          return BilinearRow<T, 3>(source, base + last, fraction + last, 1, right, below,
+                                   out + static_cast<std::ptrdiff_t>(last) * 3);
+        }
+      }
       return BilinearRow<T, 3>(source, base, fraction, count, right, below, out);
     default:
       return BilinearRow<T, 4>(source, base, fraction, count, right, below, out);
@@ -293,8 +361,11 @@ SphereRemap::RowTable SphereRemap::BuildRow(int row, const Eigen::Matrix3d& sour
     const GridPixel origin = source_.FaceOrigin(hit->face);
     const double left = std::floor(hit->x - 0.5);
     const double top = std::floor(hit->y - 0.5);
+    // The vector code's loads may take one pixel more to the right, which the last row's end lacks.
+    const bool is_end =
+        origin.y + top + 2.0 >= source_.height() && origin.x + left + 3.0 > source_.width();
     const bool is_inner = left >= 0.0 && top >= 0.0 && left + 2.0 <= source_.face_width() &&
-                          top + 2.0 <= source_.face_height();
+                          top + 2.0 <= source_.face_height() && !is_end;
     if (samples == 1 && is_inner) {
       const auto fraction = [](double f) {
         return std::min(static_cast<std::uint32_t>(std::lround(f * 65536.0)), 65535U);

@@ -19,6 +19,7 @@ constexpr std::array kCommands = {
     AddProcessCommand,
     AddMergeCommand,
     AddCalibrateCommand,
+    AddConvertCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
     AddContactSheetCommand,
