@@ -12,6 +12,7 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double kPi = std::numbers::pi;
+constexpr double kSteepest = 1000.0;      // tangent of the elevation at a cylinder's rim
 constexpr double kFaceAngle = kPi / 3.0;  // between opposite edges of a rhombus
 
 struct Axis {
@@ -276,8 +277,9 @@ Result<SphereGrid> SphereGrid::OfPicture(SphereGridKind kind, int width, int hei
         const double z = kPi * height / width;
         return Cylindrical(width, height, -z, z);
       }
-      if (!(std::isfinite(z_min) && std::isfinite(z_max) && z_max > z_min)) {
-        return Fail(ErrorKind::kData, "cylinder from z = {:g} to {:g}, expected two rising numbers",
+      if (!(z_min >= -kSteepest && z_max <= kSteepest && z_min < z_max)) {
+        return Fail(ErrorKind::kData,
+                    "cylinder from z = {:g} to {:g}, expected two rising numbers in [-1000, 1000]",
                     z_min, z_max);
       }
       return Cylindrical(width, height, z_min, z_max);

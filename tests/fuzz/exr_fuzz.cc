@@ -16,6 +16,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   }
   const auto image = omnihdr::ReadExr("/proc/self/fd/" + std::to_string(file));
   if (!image) return 0;
+  if (image->types.size() != image->channels.size()) std::abort();
   for (const auto& [name, channel] : image->channels) {
     if (channel.width() != image->width || channel.height() != image->height) std::abort();
   }

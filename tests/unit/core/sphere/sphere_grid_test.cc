@@ -219,6 +219,10 @@ TEST(SphereGrid, RefusesPicturesOfTheWrongShapeByName) {
   EXPECT_EQ(message(SphereGridKind::kCubeCross, 0, 0), "0x0 pixels, expected at least 1x1");
   EXPECT_EQ(message(SphereGridKind::kRhombicDodecahedron, 1536, 1152), "accepted");
   EXPECT_FALSE(SphereGrid::OfPicture(SphereGridKind::kCylindrical, 64, 32, 1.0, -1.0));
+  constexpr double kHuge = std::numeric_limits<double>::max();
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(SphereGrid::OfPicture(SphereGridKind::kCylindrical, 64, 32, -kHuge, kHuge));
+  EXPECT_FALSE(SphereGrid::OfPicture(SphereGridKind::kCylindrical, 64, 32, kNan, 1.0));
   const auto cylinder = SphereGrid::OfPicture(SphereGridKind::kCylindrical, 1536, 1152);
   ASSERT_TRUE(cylinder);
   EXPECT_NEAR(cylinder->z_max(), 2.356, 1e-3);  // the thesis's cylinder
