@@ -14,30 +14,49 @@ constexpr double kBrightest = 10.0;
 constexpr std::size_t kLeastBlocks = 100;
 constexpr double kLeastReadNoise = 0.1;
 
+// Sum of a block's values but for its rim, and of the squared residuals there: in whole numbers,
+// exact.
+template <typename T>
+std::int64_t SumOfBlock(const Image<T>& image, int x0, int y0, int channel) {
+  std::int64_t sum = 0;
+  for (int y = y0 + 1; y + 1 < y0 + kBlock; ++y) {
+    const T* p = image.pixel(x0, y) + channel;
+    for (int x = 1; x + 1 < kBlock; ++x) sum += p[x * image.channels()];
+  }
+  return sum;
+}
+
+template <typename T>
+std::int64_t SquaresOfBlock(const Image<T>& image, int x0, int y0, int channel) {
+  const int step = image.channels();
+  std::int64_t squares = 0;
+  for (int y = y0 + 1; y + 1 < y0 + kBlock; ++y) {
+    const T* above = image.pixel(x0, y - 1) + channel;
+    const T* here = image.pixel(x0, y) + channel;
+    const T* below = image.pixel(x0, y + 1) + channel;
+    for (int x = step; x + step < kBlock * step; x += step) {
+      const std::int64_t residual =
+          above[x - step] + above[x + step] + below[x - step] + below[x + step] -
+          2 * (above[x] + below[x] + here[x - step] + here[x + step]) + 4 * here[x];
+      squares += residual * residual;
+    }
+  }
+  return squares;
+}
+
 template <typename T>
 double Estimate(const Image<T>& image, double scale, double black, const NoiseModel& model) {
+  constexpr int kCount = (kBlock - 2) * (kBlock - 2);
   const int channel = image.channels() == 3 ? 1 : 0;
   std::vector<double> read_variance;
   for (int y0 = 0; y0 + kBlock <= image.height(); y0 += kBlock) {
     for (int x0 = 0; x0 + kBlock <= image.width(); x0 += kBlock) {
-      double sum = 0.0;
-      double squares = 0.0;
-      int count = 0;
-      for (int y = y0 + 1; y + 1 < y0 + kBlock; ++y) {
-        for (int x = x0 + 1; x + 1 < x0 + kBlock; ++x) {
-          const auto v = [&](int dx, int dy) -> double {
-            return image.pixel(x + dx, y + dy)[channel];
-          };
-          const double residual = v(-1, -1) + v(1, -1) + v(-1, 1) + v(1, 1) -
-                                  2.0 * (v(0, -1) + v(0, 1) + v(-1, 0) + v(1, 0)) + 4.0 * v(0, 0);
-          squares += residual * residual;
-          sum += v(0, 0);
-          ++count;
-        }
-      }
-      const double mean = sum * scale / count - black;
+      // Most blocks are too bright: their residuals are never needed.
+      const auto sum = static_cast<double>(SumOfBlock(image, x0, y0, channel));
+      const double mean = sum * scale / kCount - black;
       if (mean < kDarkest || mean > kBrightest) continue;
-      const double variance = squares * scale * scale / (36.0 * count);
+      const auto squares = static_cast<double>(SquaresOfBlock(image, x0, y0, channel));
+      const double variance = squares * scale * scale / (36.0 * kCount);
       read_variance.push_back(variance - model.gain * mean - 1.0 / 12.0);
     }
   }

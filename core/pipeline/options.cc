@@ -32,6 +32,10 @@ Status PipelineOptions::Validate() const {
   OMNIHDR_TRY(InRange("photometry.read_noise", noise.read, 0, 50));
   OMNIHDR_TRY(InRange("photometry.gain", noise.gain, 0, 10));
   OMNIHDR_TRY(InRange("photometry.prnu", noise.prnu, 0, 0.2));
+  for (const double gain : white_balance) {
+    OMNIHDR_TRY(InRange("photometry.white_balance", gain, 0.1, 10));
+  }
+  OMNIHDR_TRY(InRange("photometry.refine_limit", refine_limit, 0.01, 0.5));
   OMNIHDR_TRY(InRange("stereo.width", stereo_width, 128, 4096));
   if (stereo_width % 2 != 0) {
     return Fail(ErrorKind::kConfig, "stereo.width: {}, expected an even number", stereo_width);

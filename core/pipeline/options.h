@@ -1,9 +1,11 @@
 #pragma once
 
+#include <array>
 #include <string>
 
 #include "core/base/result.h"
 #include "core/image/exr.h"
+#include "core/photometry/merge_rows.h"
 #include "core/photometry/noise_model.h"
 #include "core/photometry/tonemap.h"
 
@@ -11,6 +13,12 @@ namespace omnihdr {
 
 enum class ProcessMode { kAuto, kSpatiotemporal, kTemporal };
 enum class OutputOrientation { kAligned, kCamera };
+// Which pixels of radiance.exr read NaN instead of an estimate.
+enum class NanPixels {
+  kNever,
+  kNoData,      // nothing was measured there: masked, outside the sensor
+  kUnmeasured,  // those, and the clipped and dark ones
+};
 
 // Everything that decides what a view looks like. Two runs with equal options over equal journals
 // give equal bytes. Config section in brackets.
@@ -29,6 +37,7 @@ struct PipelineOptions {
   // What the radiance's red, green, blue and white are, as the EXR files tell; they are not
   // converted.
   Chromaticities chromaticities = kRec709;
+  NanPixels nan = NanPixels::kNever;
   // PNG or JPEG the size of a frame, white = use; empty = no mask. Relative paths: to the working
   // directory (command line) or to the config file.
   std::string mask_file;  // [input] mask
@@ -39,6 +48,12 @@ struct PipelineOptions {
   // Luminance of radiance (1, 1, 1) in cd/m², of a camera that is calibrated absolutely; 0 =
   // unknown.
   double white_luminance = 0.0;
+  MergeWeights weights = MergeWeights::kInverseVariance;
+  std::array<double, 3> white_balance = {1.0, 1.0, 1.0};  // gains on R, G, B
+  // Whether exposure labels are tested where frames overlap and corrected, by at most refine_limit
+  // (relative).
+  bool refine_exposure = true;
+  double refine_limit = 0.2;
   // [stereo]
   int stereo_width = 1024;         // of the equirectangular matching grid
   int labels = 96;                 // inverse-distance hypotheses

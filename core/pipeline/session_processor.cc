@@ -12,6 +12,7 @@
 #include "core/base/crc32c.h"
 #include "core/base/file.h"
 #include "core/image/image_io.h"
+#include "core/photometry/exposure_refine.h"
 #include "core/photometry/measure.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
@@ -61,6 +62,7 @@ struct LoadedPosition {
   Measurement measurement;
   std::vector<FrameId> frames;
   FrameRecord reference;
+  std::vector<std::string> notes;  // about exposure labels, for view.json's warnings
 };
 
 class SessionProcessorImpl final : public SessionProcessor {
@@ -210,6 +212,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     Take(position);
     if (!loaded) return {};
     ViewContext context = ContextOf(loaded->reference);
+    context.notes = loaded->notes;
     references_[position] = context;
     PositionInput input;
     input.position = PositionId{position};
@@ -318,6 +321,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     context.exr_type = options_.exr_type;
     context.chromaticities = options_.chromaticities;
     context.white_luminance = options_.white_luminance;
+    context.nan = options_.nan;
     return context;
   }
 
@@ -354,6 +358,9 @@ class SessionProcessorImpl final : public SessionProcessor {
     measure.value_low = options_.value_low;
     measure.value_high = options_.value_high;
     measure.noise = options_.noise;
+    measure.weights = options_.weights;
+    measure.white_balance = options_.white_balance;
+    std::vector<std::string> notes = RefineLabels(exposed, usable);
     const CameraDescription& camera = info_.camera;
     const Projection projection = camera.layout == Layout::kPanorama
                                       ? camera.PanoramaProjection()
@@ -373,8 +380,34 @@ class SessionProcessorImpl final : public SessionProcessor {
     loaded.measurement = std::move(*measurement);
     for (const FrameRecord* record : usable) loaded.frames.push_back(record->frame);
     loaded.reference = ReferenceOf(usable);
+    loaded.notes = std::move(notes);
     if (count) ++counts_.positions_seen;
     return loaded;
+  }
+
+  // Corrects the exposures of a position's frames where their overlap says so; what to tell.
+  std::vector<std::string> RefineLabels(std::vector<ExposedFrame>& exposed,
+                                        const std::vector<const FrameRecord*>& records) const {
+    std::vector<std::string> notes;
+    if (!options_.refine_exposure || exposed.size() < 2) return notes;
+    RefineOptions refine;
+    refine.limit = options_.refine_limit;
+    refine.value_low = options_.value_low;
+    refine.value_high = options_.value_high;
+    refine.noise = options_.noise;
+    const Result<std::vector<RefinedExposure>> refined =
+        RefineExposures(exposed, info_.response, info_.camera.bits, mask_.view(), refine);
+    if (!refined) return notes;  // Measure tells what is wrong with them
+    std::vector<std::string> names;
+    for (const FrameRecord* record : records) {
+      names.push_back(fmt::format("frame {}", Value(record->frame)));
+    }
+    notes = RefinementNotes(*refined, exposed, names, options_.refine_limit);
+    for (std::size_t k = 0; k < exposed.size(); ++k) {
+      ExposureTime& time = exposed[k].exposure.time;
+      time = ExposureTime::Seconds(time.seconds() * (*refined)[k].scale);
+    }
+    return notes;
   }
 
   Result<DecodedImage> LoadFrame(const FrameRecord& record) const {
@@ -406,6 +439,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     view.frames = loaded->frames;
     view.reference = loaded->reference.frame;
     view.is_latlong = info_.camera.layout == Layout::kPanorama;
+    view.warnings = loaded->notes;
     if (loaded->frames.size() == 1) {
       view.warnings.push_back("one exposure at this position: no range gained");
     }
@@ -433,6 +467,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       waiting.done.pose_s = pose_s;
       waiting.done.stereo_s = view.stereo_s;
       waiting.done.merge_s = view.merge_s;
+      view.warnings.insert(view.warnings.end(), waiting.context.notes.begin(),
+                           waiting.context.notes.end());
       waiting.done.warnings = view.warnings;
       waiting.view = std::move(view);
       waiting_.push_back(std::move(waiting));

@@ -3,11 +3,13 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <numbers>
 
 #include "core/base/file.h"
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
+#include "core/photometry/clipped.h"
 #include "core/photometry/tonemap.h"
 
 namespace omnihdr {
@@ -127,11 +129,18 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
   if (context.white_luminance > 0.0) {
     radiance_attributes.floats["whiteLuminance"] = context.white_luminance;
   }
+  radiance_attributes.strings["omnihdrOrigin"] = kOriginMeaning;
   const Image<float> origin = AsFloat(view.origin);
+  Image<float> marked;
+  if (context.nan != NanPixels::kNever) {
+    marked = view.radiance.Clone();
+    MarkNan(view.origin, context.nan, &marked);
+  }
+  const Image<float>& radiance = marked.empty() ? view.radiance : marked;
   OMNIHDR_TRY(WriteExr(directory / "radiance.exr",
-                       {{"R", view.radiance, type, 0},
-                        {"G", view.radiance, type, 1},
-                        {"B", view.radiance, type, 2},
+                       {{"R", radiance, type, 0},
+                        {"G", radiance, type, 1},
+                        {"B", radiance, type, 2},
                         {"origin", origin, ExrPixelType::kHalf, 0}},
                        radiance_attributes, ExrCompression::kPiz));
   if (with_disparity) {
@@ -188,6 +197,21 @@ Status WriteTemporalViewFiles(const std::filesystem::path& directory, const Temp
                        &record);
 }
 
+void MarkNan(const Image<std::uint8_t>& origin, NanPixels nan, Image<float>* radiance) {
+  if (nan == NanPixels::kNever) return;
+  for (int y = 0; y < origin.height(); ++y) {
+    for (int x = 0; x < origin.width(); ++x) {
+      const auto why = static_cast<PixelOrigin>(origin.at(x, y));
+      const bool is_nan = why == PixelOrigin::kNoData ||
+                          (nan == NanPixels::kUnmeasured && why != PixelOrigin::kMeasured);
+      if (is_nan) {
+        std::fill_n(radiance->pixel(x, y), radiance->channels(),
+                    std::numeric_limits<float>::quiet_NaN());
+      }
+    }
+  }
+}
+
 MergedView ViewOfMeasurement(const Measurement& m) {
   MergedView view;
   const int width = m.radiance.width();
@@ -198,6 +222,7 @@ MergedView ViewOfMeasurement(const Measurement& m) {
     for (int x = 0; x < width; ++x) {
       std::copy_n(m.radiance.pixel(x, y), 3, view.radiance.pixel(x, y));
       const std::uint8_t flags = m.flags.at(x, y);
+      NeutraliseClipped(flags, view.radiance.pixel(x, y));
       PixelOrigin origin = PixelOrigin::kMeasured;
       if ((flags & kMasked) != 0) {
         origin = PixelOrigin::kNoData;

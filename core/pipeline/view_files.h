@@ -30,6 +30,8 @@ struct ViewContext {
   ExrPixelType exr_type = ExrPixelType::kHalf;
   Chromaticities chromaticities = kRec709;
   double white_luminance = 0.0;  // cd/m² of radiance (1, 1, 1); 0 = unknown
+  NanPixels nan = NanPixels::kNever;
+  std::vector<std::string> notes;  // about the position's frames, for warnings
 };
 
 // view.json's content for a finished view.
@@ -37,10 +39,10 @@ ViewRecord RecordOfView(const FinishedView& view, const std::string& mode);
 
 // Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`. The radiance is
 // stored as context.exr_type says; as float in any case when it exceeds what half can hold (a
-// warning in view.json says so). Channel "origin" beside R, G, B holds PixelOrigin values.
-// OpenEXR's standard attributes, where they are known: envmap, chromaticities, whiteLuminance,
-// expTime, capDate with utcOffset 0, longitude, latitude, altitude; `software`, `omnihdrCamera` and
-// `omnihdrPosition` beside them.
+// warning in view.json says so). Channel "origin" beside R, G, B holds PixelOrigin values, and R,
+// G, B are never NaN unless asked. OpenEXR's standard attributes, where they are known: envmap,
+// chromaticities, whiteLuminance, expTime, capDate with utcOffset 0, longitude, latitude, altitude;
+// `software`, `omnihdrCamera` and `omnihdrPosition` beside them.
 Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView& view,
                       const ViewContext& context);
 
@@ -56,6 +58,12 @@ struct TemporalView {
 };
 Status WriteTemporalViewFiles(const std::filesystem::path& directory, const TemporalView& view,
                               const ViewContext& context);
+
+// Puts NaN where `nan` says, for a picture that is to be written.
+void MarkNan(const Image<std::uint8_t>& origin, NanPixels nan, Image<float>* radiance);
+
+// What the values of the mask channel "origin" mean, as a string attribute of the file.
+inline constexpr char kOriginMeaning[] = "0 no data, 1 measured, 2 clipped (lower bound), 3 dark";
 
 // A measurement as a merged view on its own pixel grid, for cameras without a sphere.
 MergedView ViewOfMeasurement(const Measurement& measurement);

@@ -201,11 +201,17 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
       (slot.pose.world_from_camera.rotation.conjugate() * world_from_output).normalized();
   MergeOptions merge;
   merge.consistency_log10 = static_cast<float>(options_.consistency_sigma);
+  // Light that changes along the way is no wrong label: only views on both sides can tell.
+  const std::vector<std::size_t> next_to = Neighbours(index, 1);
+  merge.refine_exposure = options_.refine_exposure && next_to.size() == 2;
+  merge.refine_limit = static_cast<float>(options_.refine_limit);
   const int width = options_.output_width != 0
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
   view.merged =
       MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output, width, merge);
+  const std::string exposure = DescribeExposureTest(view.merged.exposure, merge);
+  if (!exposure.empty()) view.warnings.push_back(exposure);
   view.merge_s = merge_time.Seconds();
   return view;
 }

@@ -6,8 +6,13 @@
 #include <limits>
 #include <memory>
 #include <numbers>
+#include <optional>
+#include <utility>
+
+#include <fmt/format.h>
 
 #include "core/base/parallel_for.h"
+#include "core/photometry/clipped.h"
 #include "core/photometry/sampler.h"
 #include "core/photometry/tonemap.h"
 #include "core/sphere/latlong_grid.h"
@@ -203,6 +208,8 @@ struct SourceLookup {
   Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
   Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
   AgreementField agreement;
+  // reference / source where both are well exposed; nothing when too little is shared.
+  std::optional<float> exposure_ratio;
   // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a
   // wrong registration that the noise of a single dark pixel hides.
   Image<float> block_trust;
@@ -284,7 +291,78 @@ float LocalContrast(const Measurement& m, float x, float y) {
   return 0.5F * std::sqrt(gx * gx + gy * gy);
 }
 
+// Whether a surface's radiance is within the good part of both views' ranges. The longer, cleaner
+// exposure decides: a noisy value that chose itself would bias the ratio.
+class WellExposed {
+ public:
+  WellExposed(const Measurement& mine, const Measurement& theirs)
+      : by_mine_(mine.longest_exposure_s >= theirs.longest_exposure_s),
+        low_(kLow * std::max(mine.saturation[1], theirs.saturation[1])),
+        high_(kHigh * std::min(mine.saturation[1], theirs.saturation[1])) {}
+  bool operator()(float mine_y, float theirs_y) const {
+    const float y = by_mine_ ? mine_y : theirs_y;
+    return y >= low_ && y <= high_;
+  }
+
+ private:
+  static constexpr float kLow = 0.06F;  // of the radiance that saturates
+  static constexpr float kHigh = 0.8F;
+  bool by_mine_;
+  float low_;
+  float high_;
+};
+
+std::optional<float> Median(std::vector<float> values) {
+  constexpr std::size_t kLeast = 1000;
+  if (values.size() < kLeast) return {};
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+constexpr float kLeastExposureChange = 0.03F;  // less is light, gloss and vignetting
+constexpr std::size_t kLeastExposureViews = 2;
+
+ExposureTest TestExposure(const std::vector<SourceLookup>& sources, float limit) {
+  ExposureTest test;
+  std::vector<float> ratios;
+  for (const SourceLookup& source : sources) {
+    if (source.exposure_ratio) ratios.push_back(*source.exposure_ratio);
+  }
+  test.views = static_cast<int>(ratios.size());
+  if (ratios.size() < kLeastExposureViews) return test;
+  ratios.push_back(1.0F);
+  std::sort(ratios.begin(), ratios.end());
+  const std::size_t middle = ratios.size() / 2;
+  test.measured = ratios.size() % 2 == 1
+                      ? ratios[middle]
+                      : (std::abs(ratios[middle] - 1.0F) < std::abs(ratios[middle - 1] - 1.0F)
+                             ? ratios[middle]
+                             : ratios[middle - 1]);
+  const float change = std::abs(std::log(test.measured));
+  if (change > std::log1p(kLeastExposureChange) && change <= std::log1p(limit)) {
+    test.scale = test.measured;
+  }
+  return test;
+}
+
 }  // namespace
+
+std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& options) {
+  const float change = std::abs(std::log(test.measured));
+  const float percent = 100.0F * (test.measured - 1.0F);
+  if (test.scale != 1.0F) {
+    return fmt::format("exposure: {:+.1f} % against the {} views around: radiance corrected",
+                       percent, test.views);
+  }
+  if (change > std::log1p(options.refine_limit)) {
+    return fmt::format(
+        "exposure: {:+.1f} % against the {} views around, beyond the limit of {:.0f} %: kept as "
+        "labelled",
+        percent, test.views, 100.0F * options.refine_limit);
+  }
+  return {};
+}
 
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                       const Image<std::uint8_t>* map_brightness,
@@ -349,6 +427,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     for (int n = begin; n < end; ++n) {
       SourceLookup& source = sources[static_cast<std::size_t>(n)];
       std::vector<AgreementField::Residual> residuals;
+      std::vector<float> exposure_ratios;
+      const WellExposed well_exposed(own, *source.measurement);
       const int blocks_x = (width + kBlock - 1) / kBlock;
       const int blocks_y = (height + kBlock - 1) / kBlock;
       std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
@@ -386,6 +466,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
+          if (well_exposed(mine_y, theirs_y)) exposure_ratios.push_back(ratio);
           const float contrast =
               LocalContrast(*source.measurement, px, py) * options.misalignment_px;
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
@@ -395,6 +476,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         }
       }
       source.agreement.Fit(residuals);
+      source.exposure_ratio = Median(std::move(exposure_ratios));
       source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
       for (int by = 0; by < blocks_y; ++by) {
         for (int bx = 0; bx < blocks_x; ++bx) {
@@ -414,6 +496,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     }
   });
 
+  if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 4, [&](int begin, int end) {
     std::array<Sample, kMaxSources> samples;
     for (int y = begin; y < end; ++y) {
@@ -531,16 +614,23 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         } else {
           // Saturated wherever it was seen: each says "at least"; the largest bound says most.
           bool seen = false;
+          std::uint8_t clipped = kSaturatedAny;
           for (std::size_t k = 0; k < count; ++k) {
             if (samples[k].hidden || (samples[k].flags & kMasked) != 0) continue;
             if (samples[k].usable && k > 0) continue;
             if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
             seen = true;
+            clipped = static_cast<std::uint8_t>(clipped & samples[k].flags);
             for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
           }
+          NeutraliseClipped(clipped, out);
           view.origin.at(x, y) =
               static_cast<std::uint8_t>(seen ? PixelOrigin::kClipped : PixelOrigin::kNoData);
         }
+      }
+      if (view.exposure.scale != 1.0F) {
+        float* row = view.radiance.row(y);
+        for (int k = 0; k < 3 * width; ++k) row[k] /= view.exposure.scale;
       }
     }
   });

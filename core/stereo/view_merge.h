@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <string>
 #include <vector>
 
 #include "core/image/image.h"
@@ -13,7 +14,7 @@ namespace omnihdr {
 enum class PixelOrigin : std::uint8_t {
   kNoData = 0,    // nothing measured: outside the sensor, masked everywhere
   kMeasured = 1,  // at least one view measured it
-  kClipped = 2,   // saturated in every view: the largest known lower bound
+  kClipped = 2,   // saturated in every view: the largest known lower bound, neutral
   kDark = 3,      // below the usable range in every view: best estimate
 };
 
@@ -32,6 +33,21 @@ struct MergeOptions {
                                     // misregistration, at which a sample counts half
   float block_error = 0.02F;  // relative error of a block's mean that still counts as agreement
   float occlusion_tolerance = 0.05F;  // relative: a surface nearer by more hides the sample
+  // Whether the reference's exposure label is tested against its neighbours; the largest relative
+  // correction. See MergedView::exposure.
+  bool refine_exposure = true;
+  float refine_limit = 0.2F;
+};
+
+// The reference's exposure as the views around it see it.
+struct ExposureTest {
+  // Exposure over label: the median, over the views that share enough surfaces and the reference
+  // itself, of how their radiance compares. A majority must be of one opinion, so that one view
+  // with a wrong label, or light that changes steadily, moves nothing.
+  float measured = 1.0F;
+  float scale = 1.0F;  // what the radiance was divided by: `measured` where it is clearly off,
+                       // within the limit; else 1
+  int views = 0;       // that were compared
 };
 
 struct MergedView {
@@ -39,7 +55,11 @@ struct MergedView {
   Image<float> disparity;      // W×H; NaN = unknown
   Image<float> confidence;     // W×H, 0..1
   Image<std::uint8_t> origin;  // W×H, PixelOrigin
+  ExposureTest exposure;
 };
+
+// A line for the user, or "" when the label is right or could not be tested.
+std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& options);
 
 // The radiance map of `reference` on a lat-long grid of `width` × width/2 whose axes are turned by
 // `world_from_output`: every pixel is sought in the other views through the reference's disparity

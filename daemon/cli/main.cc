@@ -20,6 +20,7 @@ constexpr std::array kCommands = {
     AddMergeCommand,
     AddCalibrateCommand,
     AddConvertCommand,
+    AddReportCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
     AddContactSheetCommand,

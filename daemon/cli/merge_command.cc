@@ -16,6 +16,7 @@
 #include "core/session/session_reader.h"
 #include "daemon/cli/command.h"
 #include "daemon/cli/exposed_image.h"
+#include "daemon/cli/exposure_table.h"
 
 namespace omnihdr {
 namespace {
@@ -28,7 +29,35 @@ struct MergeArguments {
   std::string response = "linear";
   std::string exr_type = "half";
   int bits = 16;
+  std::string weights = "inverse-variance";
+  std::string nan = "never";
+  std::vector<double> white_balance;
+  double refine_limit = 0.2;
+  bool no_refine = false;
+  bool report = false;
+  bool json = false;
 };
+
+Result<MeasureOptions> MeasureOptionsOf(const MergeArguments& arguments) {
+  MeasureOptions options;
+  options.weights =
+      arguments.weights == "hat" ? MergeWeights::kHat : MergeWeights::kInverseVariance;
+  if (arguments.white_balance.empty()) return options;
+  for (std::size_t c = 0; c < 3; ++c) {
+    const double gain = arguments.white_balance[c];
+    if (!(gain >= 0.1 && gain <= 10.0)) {
+      return Fail(ErrorKind::kUsage, "--white-balance: {}, expected three gains in [0.1, 10]",
+                  gain);
+    }
+    options.white_balance[c] = gain;
+  }
+  return options;
+}
+
+NanPixels NanOf(const std::string& word) {
+  if (word == "no-data") return NanPixels::kNoData;
+  return word == "unmeasured" ? NanPixels::kUnmeasured : NanPixels::kNever;
+}
 
 // The inverse of the sRGB transfer curve, for pictures that were developed for screens.
 Result<Response> SrgbResponse() {
@@ -76,16 +105,21 @@ Result<int> Merge(const MergeArguments& arguments) {
     OMNIHDR_ASSIGN(
         mask, LoadPictureMask(arguments.mask, images.front().width(), images.front().height()));
   }
-  OMNIHDR_ASSIGN(
-      const Measurement measurement,
-      Measure(frames, Projection::Equirectangular(images.front().width(), images.front().height()),
-              response, arguments.bits, mask.view(), MeasureOptions{}));
-  const MergedView view = ViewOfMeasurement(measurement);
-  std::size_t clipped = 0;
-  float largest = 0.0F;
-  for (const std::uint8_t origin : view.origin.values()) {
-    clipped += static_cast<PixelOrigin>(origin) == PixelOrigin::kClipped ? 1 : 0;
+  OMNIHDR_ASSIGN(const MeasureOptions options, MeasureOptionsOf(arguments));
+  std::vector<std::string> names;
+  for (const std::string& text : arguments.images) {
+    names.push_back(std::filesystem::path(text.substr(0, text.rfind('@'))).filename().string());
   }
+  OMNIHDR_ASSIGN(
+      MergedBracket merged,
+      MergeBracket(std::move(frames), names,
+                   Projection::Equirectangular(images.front().width(), images.front().height()),
+                   response, arguments.bits, mask.view(), options,
+                   arguments.no_refine ? 0.0 : arguments.refine_limit,
+                   arguments.report || arguments.json));
+  for (const std::string& note : merged.notes) fmt::print(stderr, "{}\n", note);
+  MergedView view = ViewOfMeasurement(merged.measurement);
+  float largest = 0.0F;
   for (const float v : view.radiance.values()) largest = std::max(largest, v);
   const ExrPixelType type =
       arguments.exr_type == "float" ? ExrPixelType::kFloat : SmallestType(view.radiance);
@@ -95,20 +129,29 @@ Result<int> Merge(const MergeArguments& arguments) {
   attributes.envmap = ExrEnvmap::kNone;
   attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
   attributes.chromaticities = kRec709;
+  attributes.strings["omnihdrOrigin"] = kOriginMeaning;
+  std::vector<std::byte> jpeg;
+  if (!arguments.preview.empty()) {
+    OMNIHDR_ASSIGN(jpeg, EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92));
+  }
+  MarkNan(view.origin, NanOf(arguments.nan), &view.radiance);
   OMNIHDR_TRY(WriteExrAtomic(arguments.out,
                              {{"R", view.radiance, type, 0},
                               {"G", view.radiance, type, 1},
                               {"B", view.radiance, type, 2},
                               {"origin", origin, ExrPixelType::kHalf, 0}},
                              attributes, ExrCompression::kPiz));
-  if (!arguments.preview.empty()) {
-    OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
-                   EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92));
-    OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
+  if (!jpeg.empty()) OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
+  merged.summary.title = fmt::format("{}: {} exposures of {}x{}", arguments.out, images.size(),
+                                     images.front().width(), images.front().height());
+  if (arguments.json) {
+    fmt::print("{}\n", JsonOf(merged.summary));
+  } else if (arguments.report) {
+    fmt::print("{}", TextOf(merged.summary));
+  } else {
+    fmt::print("{}, radiance up to {:.4g}, {:.2f} % clipped in every one\n", merged.summary.title,
+               largest, merged.summary.clipped_percent);
   }
-  fmt::print("{}: {} exposures of {}x{}, radiance up to {:.4g}, {:.2f} % clipped in every one\n",
-             arguments.out, images.size(), images.front().width(), images.front().height(), largest,
-             100.0 * static_cast<double>(clipped) / static_cast<double>(view.origin.size()));
   return 0;
 }
 
@@ -135,6 +178,30 @@ void AddMergeCommand(CLI::App& app, CommandRun& run) {
   command->add_option("--bits", arguments->bits, "significant bits of 16-bit images")
       ->check(CLI::Range(8, 16))
       ->capture_default_str();
+  command
+      ->add_option("--weights", arguments->weights,
+                   "of the exposures: inverse-variance of the noise, or hat over the values")
+      ->check(CLI::IsMember({"inverse-variance", "hat"}))
+      ->capture_default_str();
+  command
+      ->add_option("--white-balance", arguments->white_balance, "gains on R,G,B, as in 1.9,1,1.4")
+      ->delimiter(',')
+      ->expected(3);
+  command
+      ->add_option("--refine-limit", arguments->refine_limit,
+                   "largest correction of an exposure time by the overlap of exposures, a fraction")
+      ->check(CLI::Range(0.01, 0.5))
+      ->capture_default_str();
+  command->add_flag("--no-refine", arguments->no_refine, "take the exposure times as given");
+  command
+      ->add_option("--nan", arguments->nan,
+                   "pixels that are NaN instead of an estimate: never, no-data (masked) or "
+                   "unmeasured (those, and clipped or dark in every exposure)")
+      ->check(CLI::IsMember({"never", "no-data", "unmeasured"}))
+      ->capture_default_str();
+  command->add_flag("--report", arguments->report,
+                    "print under- and over-exposed pixels and the range of every exposure");
+  command->add_flag("--json", arguments->json, "that report as JSON");
   command->callback([arguments, &run] { run = [arguments] { return Merge(*arguments); }; });
 }
 

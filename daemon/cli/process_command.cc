@@ -25,6 +25,9 @@ struct ProcessArguments {
   std::string mode;
   std::string config;
   std::string exr_type;
+  std::string weights;
+  std::string nan;
+  bool no_refine = false;
   int width = 0;
   int workers = 0;
   bool resume = false;
@@ -45,6 +48,12 @@ Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
   if (arguments.mode == "auto") options.mode = ProcessMode::kAuto;
   if (arguments.exr_type == "half") options.exr_type = ExrPixelType::kHalf;
   if (arguments.exr_type == "float") options.exr_type = ExrPixelType::kFloat;
+  if (arguments.weights == "hat") options.weights = MergeWeights::kHat;
+  if (arguments.weights == "inverse-variance") options.weights = MergeWeights::kInverseVariance;
+  if (arguments.nan == "never") options.nan = NanPixels::kNever;
+  if (arguments.nan == "no-data") options.nan = NanPixels::kNoData;
+  if (arguments.nan == "unmeasured") options.nan = NanPixels::kUnmeasured;
+  if (arguments.no_refine) options.refine_exposure = false;
   if (arguments.width != 0) options.output_width = arguments.width;
   return options;
 }
@@ -172,6 +181,17 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
   command->add_option("--mode", arguments->mode, "auto, spatiotemporal or temporal (pipeline.mode)")
       ->check(CLI::IsMember({"auto", "spatiotemporal", "temporal"}));
   command->add_option("--config", arguments->config, "take pipeline options from this file");
+  command
+      ->add_option("--weights", arguments->weights,
+                   "inverse-variance or hat: of exposures of one position (photometry.weights)")
+      ->check(CLI::IsMember({"inverse-variance", "hat"}));
+  command
+      ->add_option("--nan", arguments->nan,
+                   "never, no-data or unmeasured: pixels that are NaN instead of an estimate "
+                   "(output.nan)")
+      ->check(CLI::IsMember({"never", "no-data", "unmeasured"}));
+  command->add_flag("--no-refine", arguments->no_refine,
+                    "take exposure times as labelled (photometry.refine_exposure)");
   command->add_option("--width", arguments->width, "width of the output pictures (output.width)")
       ->check(CLI::Range(64, 16384));
   command

@@ -85,15 +85,16 @@ struct Setting {
   }
 };
 
+// `label_errors`: true exposure over the one the measurement believes, none = 1.
 Setting Expose(const Drive& drive, const std::vector<double>& seconds, const NoiseModel& noise = {},
-               bool with_noise = true) {
+               bool with_noise = true, const std::vector<double>& label_errors = {}) {
   Setting s;
   s.drive = &drive;
   for (std::size_t k = 0; k < drive.poses.size(); ++k) {
-    s.measurements.push_back(
-        testing::MeasureOne(testing::Expose(drive.truths[k].radiance, seconds[k],
-                                            static_cast<std::uint32_t>(k) + 1, noise, with_noise),
-                            seconds[k], drive.projection, noise));
+    s.measurements.push_back(testing::MeasureOne(
+        testing::Expose(drive.truths[k].radiance, seconds[k], static_cast<std::uint32_t>(k) + 1,
+                        noise, with_noise),
+        label_errors.empty() ? seconds[k] : seconds[k] / label_errors[k], drive.projection, noise));
   }
   s.map = drive.TrueDisparity(kCentre);
   return s;
@@ -439,6 +440,70 @@ TEST(MergeViews, OutsideACylindersBandThereIsNoData) {
     EXPECT_EQ(OriginAt(view, x, kHeight - 3), PixelOrigin::kNoData);
     EXPECT_NE(OriginAt(view, x, kHeight / 2), PixelOrigin::kNoData);
   }
+}
+
+// Median of the view over the truth, where measured.
+double MedianRatio(const MergedView& view, const Image<float>& truth) {
+  std::vector<double> ratios;
+  for (int y = 4; y < kHeight - 4; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      if (OriginAt(view, x, y) == PixelOrigin::kMeasured) {
+        ratios.push_back(view.radiance.at(x, y, 1) / truth.at(x, y, 1));
+      }
+    }
+  }
+  const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+  std::nth_element(ratios.begin(), middle, ratios.end());
+  return *middle;
+}
+
+const std::vector<double> kSawTooth = {0.5, 1.5, 0.5, 0.17, 0.5};
+
+TEST(ExposureTest, RightLabelsReadRightBetweenDifferentExposures) {
+  const MergedView view = Expose(TheDrive(), kSawTooth).Merge(kNeighbours);
+  EXPECT_GE(view.exposure.views, 2);
+  EXPECT_NEAR(view.exposure.measured, 1.0F, 0.01F);
+  EXPECT_EQ(view.exposure.scale, 1.0F);
+  EXPECT_EQ(DescribeExposureTest(view.exposure, {}), "");
+}
+
+TEST(ExposureTest, AWrongLabelOfTheReferenceIsCorrectedByTheViewsAround) {
+  for (const double error : {1.15, 1.0 / 1.15}) {
+    const Setting s = Expose(TheDrive(), kSawTooth, {}, true, {1.0, 1.0, error, 1.0, 1.0});
+    const MergedView view = s.Merge(kNeighbours);
+    EXPECT_NEAR(view.exposure.scale, error, 0.01);
+    EXPECT_NEAR(MedianRatio(view, s.drive->truths[kCentre].radiance), 1.0, 0.01);
+    EXPECT_NE(DescribeExposureTest(view.exposure, {}).find("corrected"), std::string::npos);
+  }
+}
+
+TEST(ExposureTest, AWrongLabelOfOneNeighbourMovesNothing) {
+  const Setting s = Expose(TheDrive(), kSawTooth, {}, true, {1.0, 1.15, 1.0, 1.0, 1.0});
+  const MergedView view = s.Merge(kNeighbours);
+  EXPECT_EQ(view.exposure.scale, 1.0F);
+  EXPECT_NEAR(MedianRatio(view, s.drive->truths[kCentre].radiance), 1.0, 0.01);
+}
+
+TEST(ExposureTest, LightThatDriftsFromViewToViewMovesNothing) {
+  std::vector<double> drift;
+  for (int k = 0; k < 5; ++k) drift.push_back(std::pow(1.06, k - 2));
+  const MergedView view = Expose(TheDrive(), kSawTooth, {}, true, drift).Merge(kNeighbours);
+  EXPECT_EQ(view.exposure.scale, 1.0F);
+}
+
+TEST(ExposureTest, AnErrorBeyondTheLimitIsKeptAndTold) {
+  const Setting s = Expose(TheDrive(), kSawTooth, {}, true, {1.0, 1.0, 1.4, 1.0, 1.0});
+  const MergedView view = s.Merge(kNeighbours);
+  EXPECT_EQ(view.exposure.scale, 1.0F);
+  EXPECT_NEAR(view.exposure.measured, 1.4F, 0.03F);
+  EXPECT_NE(DescribeExposureTest(view.exposure, {}).find("kept as labelled"), std::string::npos);
+}
+
+TEST(ExposureTest, WithoutViewsAroundThereIsNothingToTestBy) {
+  const MergedView view =
+      Expose(TheDrive(), kSawTooth, {}, true, {1.0, 1.0, 1.15, 1.0, 1.0}).Merge({});
+  EXPECT_EQ(view.exposure.views, 0);
+  EXPECT_EQ(view.exposure.scale, 1.0F);
 }
 
 }  // namespace
