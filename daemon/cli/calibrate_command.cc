@@ -6,7 +6,8 @@
 namespace omnihdr {
 namespace {
 
-constexpr std::array<AddCommand, 1> kCalibrations = {AddCalibrateResponse};
+constexpr std::array<AddCommand, 4> kCalibrations = {AddCalibrateResponse, AddCalibrateWhiteBalance,
+                                                     AddCalibrateSensors, AddCalibrateVignetting};
 
 }  // namespace
 

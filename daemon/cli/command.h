@@ -21,7 +21,7 @@ using AddCommand = void (*)(CLI::App& app, CommandRun& run);
 // The one visible list of commands, each in its own file of this folder.
 void AddProcessCommand(CLI::App& app, CommandRun& run);
 void AddMergeCommand(CLI::App& app, CommandRun& run);
-void AddCalibrateCommand(CLI::App& app, CommandRun& run);  // response, ...
+void AddCalibrateCommand(CLI::App& app, CommandRun& run);  // response, white-balance, ...
 void AddConvertCommand(CLI::App& app, CommandRun& run);
 void AddReportCommand(CLI::App& app, CommandRun& run);
 void AddSimulateCommand(CLI::App& app, CommandRun& run);

@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cmath>
+#include <filesystem>
 #include <memory>
 #include <string>
 #include <vector>
@@ -12,11 +13,10 @@
 #include "core/photometry/measure.h"
 #include "core/photometry/tonemap.h"
 #include "core/pipeline/view_files.h"
-#include "core/session/response_json.h"
-#include "core/session/session_reader.h"
 #include "daemon/cli/command.h"
 #include "daemon/cli/exposed_image.h"
 #include "daemon/cli/exposure_table.h"
+#include "daemon/cli/response_option.h"
 
 namespace omnihdr {
 namespace {
@@ -57,28 +57,6 @@ Result<MeasureOptions> MeasureOptionsOf(const MergeArguments& arguments) {
 NanPixels NanOf(const std::string& word) {
   if (word == "no-data") return NanPixels::kNoData;
   return word == "unmeasured" ? NanPixels::kUnmeasured : NanPixels::kNever;
-}
-
-// The inverse of the sRGB transfer curve, for pictures that were developed for screens.
-Result<Response> SrgbResponse() {
-  std::array<std::vector<double>, 3> ln;
-  for (std::vector<double>& channel : ln) {
-    for (int z = 0; z < 256; ++z) {
-      const double v = std::max(z, 1) / 255.0 * (z == 0 ? 0.5 : 1.0);
-      const double linear = v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4);
-      channel.push_back(std::log(linear));
-    }
-  }
-  return Response::Table(ln);
-}
-
-Result<Response> ResponseOf(const std::string& name) {
-  if (name == "linear") return Response::Linear();
-  if (name == "srgb") return SrgbResponse();
-  OMNIHDR_ASSIGN(const std::string text, ReadTextFile(name));
-  if (text.find("omnihdr-session") == std::string::npos) return ParseResponse(text, name);
-  OMNIHDR_ASSIGN(const SessionInfo info, ParseSessionInfo(text, name));
-  return info.response;
 }
 
 Result<int> Merge(const MergeArguments& arguments) {
