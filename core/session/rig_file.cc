@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "core/base/file.h"
-#include "core/session/session_reader.h"
+#include "core/session/response_json.h"
 #include "core/session/toml.h"
 
 namespace omnihdr {

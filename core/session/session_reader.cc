@@ -152,20 +152,6 @@ constexpr std::array<std::string_view, 6> kOwnKeys = {"format", "version",  "cre
 
 }  // namespace
 
-Result<Response> ParseResponse(std::string_view text, const std::string& name) {
-  if (text.size() > limits::kMaxInfoBytes) {
-    return Fail(ErrorKind::kData, "{}: {} bytes, expected at most {}", name, text.size(),
-                limits::kMaxInfoBytes);
-  }
-  const json::Source source{name, text, 0};
-  OMNIHDR_ASSIGN(Json value, json::Parse(source));
-  const Json session = {{"response", std::move(value)}};
-  OMNIHDR_ASSIGN(const ObjectReader json, ObjectReader::Root(source, session));
-  return ReadResponse(json);
-}
-
-std::string FormatResponse(const Response& response) { return ResponseObject(response).Finish(); }
-
 Result<SessionInfo> ParseSessionInfo(std::string_view text, const std::string& name) {
   if (text.size() > limits::kMaxInfoBytes) {
     return Fail(ErrorKind::kData, "{}: {} bytes, expected at most {}", name, text.size(),

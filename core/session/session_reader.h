@@ -19,10 +19,6 @@ Result<SessionInfo> ParseSessionInfo(std::string_view text, const std::string& n
 // The text of session.json for `info`; ParseSessionInfo of it gives `info` back.
 std::string FormatSessionInfo(const SessionInfo& info);
 
-// The `response` object of session.json alone, as a sensor of a rig may carry one.
-Result<Response> ParseResponse(std::string_view text, const std::string& name);
-std::string FormatResponse(const Response& response);
-
 struct JournalContents {
   std::vector<FrameRecord> frames;  // in file order
   // Torn tail dropped, lines rejected, duplicate frame numbers ignored, positions out of order, ...

@@ -190,8 +190,8 @@ TEST_P(RigOrientation, AMirroredOrTurnedTwinFails) {
 
 INSTANTIATE_TEST_SUITE_P(
     Rigs, RigOrientation, ::testing::Values("ladybug2.toml", "ladybug5plus.toml", "vuze.toml"),
-    [](const auto& parameter) {
-      return std::string(parameter.param).substr(0, std::string(parameter.param).find('.'));
+    [](const auto& tested) {
+      return std::string(tested.param).substr(0, std::string(tested.param).find('.'));
     });
 
 }  // namespace
