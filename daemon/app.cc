@@ -314,6 +314,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     session_info.camera = info.description;
     session_info.response = info.response;
     session_info.extra_json = info.extra_json;
+    session_info.files = info.files;
     // Nobody asks a recorded frame for an exposure.
     if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();
     Result<SessionWriter> writer = SessionWriter::Create(choice_.directory, session_info);

@@ -222,6 +222,8 @@ std::string_view ToString(SimScene value) {
   return "?";
 }
 
+std::string_view ToString(SimLayout value) { return value == SimLayout::kRig ? "rig" : "panorama"; }
+
 std::string_view ToString(TriggerKind value) {
   switch (value) {
     case TriggerKind::kSoftware:

@@ -24,12 +24,14 @@ inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.tom
 enum class OnExistingSession { kResume, kRefuse };
 enum class CameraDriver { kSim, kReplay };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
+enum class SimLayout { kPanorama, kRig };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kReplay };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
 
 std::string_view ToString(OnExistingSession value);
 std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
+std::string_view ToString(SimLayout value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(LogLevel value);
 
@@ -44,8 +46,11 @@ struct SessionConfig {
 struct SimCameraConfig {
   SimScene scene = SimScene::kHall;
   std::uint64_t seed = 1;
+  SimLayout layout = SimLayout::kPanorama;
   int width = 1536;  // of the panorama; its height follows from the projection
   ProjectionKind projection = ProjectionKind::kEquirectangular;
+  std::string rig;                     // layout rig: a rig file; empty = the nominal Ladybug2
+  int sensor_width = 0;                // columns of a sensor; 0 = as the rig says
   double photons_full_well = 20000.0;  // electrons at value 255: shot noise
   double read_noise = 0.5;             // code values rms
   double speed_m_s = 1.0;              // along the scene's path, whose curvature the scene decides

@@ -122,337 +122,338 @@ std::string_view NameOf(OutputOrientation orientation) {
 
 std::string_view NameOf(ExrPixelType type) {
   return type == ExrPixelType::kFloat ? "float" : "half";
-  std::string_view NameOf(NanPixels nan) {
-    switch (nan) {
-      case NanPixels::kNever:
-        return "never";
-      case NanPixels::kNoData:
-        return "no-data";
-      case NanPixels::kUnmeasured:
-        return "unmeasured";
-    }
-    return "?";
+}
+
+std::string_view NameOf(NanPixels nan) {
+  switch (nan) {
+    case NanPixels::kNever:
+      return "never";
+    case NanPixels::kNoData:
+      return "no-data";
+    case NanPixels::kUnmeasured:
+      return "unmeasured";
   }
+  return "?";
+}
 
-  std::string_view NameOf(MergeWeights weights) {
-    return weights == MergeWeights::kHat ? "hat" : "inverse-variance";
+std::string_view NameOf(MergeWeights weights) {
+  return weights == MergeWeights::kHat ? "hat" : "inverse-variance";
+}
+
+template <typename T>
+ConfigKey Choice(std::string name, std::vector<T> values, Member<T> member) {
+  std::string expected;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (i > 0) expected += i + 1 == values.size() ? " or " : ", ";
+    expected += TomlText(NameOf(values[i]));
   }
-
-  template <typename T>
-  ConfigKey Choice(std::string name, std::vector<T> values, Member<T> member) {
-    std::string expected;
-    for (std::size_t i = 0; i < values.size(); ++i) {
-      if (i > 0) expected += i + 1 == values.size() ? " or " : ", ";
-      expected += TomlText(NameOf(values[i]));
-    }
-    return {std::move(name), std::move(expected),
-            [=](DaemonConfig& config, const TomlValue& toml, const fs::path&) {
-              if (toml.type != TomlValue::Type::kString) return false;
-              for (const T value : values) {
-                if (NameOf(value) != toml.text) continue;
-                member(config) = value;
-                return true;
-              }
-              return false;
-            },
-            [=](const DaemonConfig& config) { return TomlText(NameOf(Get(config, member))); }};
-  }
-
-  enum class Empty { kAllowed, kRefused };
-
-  ConfigKey Path(std::string name, std::string_view expected, Empty empty, std::size_t max_bytes,
-                 Member<std::string> member) {
-    return {std::move(name), std::string(expected),
-            [=](DaemonConfig& config, const TomlValue& value, const fs::path& directory) {
-              if (value.type != TomlValue::Type::kString) return false;
-              if (value.text.empty()) {
-                if (empty == Empty::kRefused) return false;
-                member(config).clear();
-                return true;
-              }
-              if (value.text.find('\0') != std::string::npos) return false;
-              const fs::path path(value.text);
-              const std::string resolved = path.is_absolute()
-                                               ? path.string()
-                                               : (directory / path).lexically_normal().string();
-              if (resolved.size() > max_bytes) return false;
-              member(config) = resolved;
+  return {std::move(name), std::move(expected),
+          [=](DaemonConfig& config, const TomlValue& toml, const fs::path&) {
+            if (toml.type != TomlValue::Type::kString) return false;
+            for (const T value : values) {
+              if (NameOf(value) != toml.text) continue;
+              member(config) = value;
               return true;
-            },
-            [=](const DaemonConfig& config) { return TomlText(Get(config, member)); }};
-  }
-
-  ConfigKey SessionName() {
-    return {"session.name",
-            "a directory name of at most 128 bytes without \"/\", not beginning with \".\", or "
-            "\"\" for "
-            "the time of the start",
-            [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-              if (value.type != TomlValue::Type::kString || value.text.size() > 128) return false;
-              const bool plain = std::none_of(value.text.begin(), value.text.end(), [](char c) {
-                return c == '/' || static_cast<unsigned char>(c) < 0x20 || c == 0x7F;
-              });
-              if (!plain || value.text.starts_with('.')) return false;
-              config.session.name = value.text;
-              return true;
-            },
-            [](const DaemonConfig& config) { return TomlText(config.session.name); }};
-  }
-
-  ConfigKey Exposures() {
-    constexpr std::size_t kMaxSteps = 64;
-    return {
-        "bracket.exposures_s",
-        "an array of at most 64 exposure times, each in seconds in [1e-06, 100], no two neighbours "
-        "alike",
-        [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-          if (value.type != TomlValue::Type::kArray || value.items.size() > kMaxSteps) return false;
-          std::vector<double> exposures;
-          for (const TomlValue& item : value.items) {
-            const std::optional<double> seconds = AsNumber(item);
-            if (!seconds || *seconds < 1e-6 || *seconds > 100.0) return false;
-            if (!exposures.empty() && exposures.back() == *seconds) return false;
-            exposures.push_back(*seconds);
-          }
-          config.bracket.exposures_s = std::move(exposures);
-          return true;
-        },
-        [](const DaemonConfig& config) {
-          std::string text = "[";
-          for (const double seconds : config.bracket.exposures_s) {
-            if (text.size() > 1) text += ", ";
-            text += TomlText(seconds);
-          }
-          return text + "]";
-        }};
-  }
-
-  ConfigKey WhiteBalance() {
-    return {"photometry.white_balance", "an array of three gains (R, G, B), each in [0.1, 10]",
-            [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-              std::array<double, 3>& gains = config.pipeline.options.white_balance;
-              if (value.type != TomlValue::Type::kArray || value.items.size() != gains.size()) {
-                return false;
-              }
-              for (std::size_t c = 0; c < gains.size(); ++c) {
-                const std::optional<double> gain = AsNumber(value.items[c]);
-                if (!gain || *gain < 0.1 || *gain > 10.0) return false;
-                gains[c] = *gain;
-              }
-              return true;
-            },
-            [](const DaemonConfig& config) {
-              const std::array<double, 3>& gains = config.pipeline.options.white_balance;
-              std::string text = "[";
-              for (const double gain : gains) {
-                if (text.size() > 1) text += ", ";
-                text += TomlText(gain);
-              }
-              return text + "]";
-            }};
-  }
-
-  ConfigKey SocketMode() {
-    return {
-        "api.socket_mode", "three octal digits after a 0, such as \"0660\"",
-        [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-          const std::string& text = value.text;
-          if (value.type != TomlValue::Type::kString || text.size() != 4 || text[0] != '0' ||
-              !std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '7'; })) {
+            }
             return false;
-          }
-          unsigned mode = 0;
-          for (const char c : text) mode = mode * 8 + static_cast<unsigned>(c - '0');
-          config.api.socket_mode = mode;
-          return true;
-        },
-        [](const DaemonConfig& config) {
-          return TomlText(fmt::format("{:04o}", config.api.socket_mode));
-        }};
-  }
+          },
+          [=](const DaemonConfig& config) { return TomlText(NameOf(Get(config, member))); }};
+}
 
-  ConfigKey ChromaticityKey() {
-    return {"output.chromaticities",
-            "an array of 8 numbers from -1 to 2: x and y of red, green, blue and white, white "
-            "inside the "
-            "triangle of the others",
-            [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-              Chromaticities& chromaticities = config.pipeline.options.chromaticities;
-              if (value.type != TomlValue::Type::kArray ||
-                  value.items.size() != chromaticities.size()) {
-                return false;
-              }
-              Chromaticities read{};
-              for (std::size_t i = 0; i < read.size(); ++i) {
-                const std::optional<double> number = AsNumber(value.items[i]);
-                if (!number) return false;
-                read[i] = *number;
-              }
-              if (!WhyNotChromaticities(read).empty()) return false;
-              chromaticities = read;
+enum class Empty { kAllowed, kRefused };
+
+ConfigKey Path(std::string name, std::string_view expected, Empty empty, std::size_t max_bytes,
+               Member<std::string> member) {
+  return {std::move(name), std::string(expected),
+          [=](DaemonConfig& config, const TomlValue& value, const fs::path& directory) {
+            if (value.type != TomlValue::Type::kString) return false;
+            if (value.text.empty()) {
+              if (empty == Empty::kRefused) return false;
+              member(config).clear();
               return true;
-            },
-            [](const DaemonConfig& config) {
-              std::string text;
-              for (const double number : config.pipeline.options.chromaticities) {
-                text += (text.empty() ? "[" : ", ") + TomlText(number);
-              }
-              return text + "]";
-            }};
-  }
+            }
+            if (value.text.find('\0') != std::string::npos) return false;
+            const fs::path path(value.text);
+            const std::string resolved =
+                path.is_absolute() ? path.string() : (directory / path).lexically_normal().string();
+            if (resolved.size() > max_bytes) return false;
+            member(config) = resolved;
+            return true;
+          },
+          [=](const DaemonConfig& config) { return TomlText(Get(config, member)); }};
+}
+
+ConfigKey SessionName() {
+  return {
+      "session.name",
+      "a directory name of at most 128 bytes without \"/\", not beginning with \".\", or \"\" for "
+      "the time of the start",
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        if (value.type != TomlValue::Type::kString || value.text.size() > 128) return false;
+        const bool plain = std::none_of(value.text.begin(), value.text.end(), [](char c) {
+          return c == '/' || static_cast<unsigned char>(c) < 0x20 || c == 0x7F;
+        });
+        if (!plain || value.text.starts_with('.')) return false;
+        config.session.name = value.text;
+        return true;
+      },
+      [](const DaemonConfig& config) { return TomlText(config.session.name); }};
+}
+
+ConfigKey Exposures() {
+  constexpr std::size_t kMaxSteps = 64;
+  return {
+      "bracket.exposures_s",
+      "an array of at most 64 exposure times, each in seconds in [1e-06, 100], no two neighbours "
+      "alike",
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        if (value.type != TomlValue::Type::kArray || value.items.size() > kMaxSteps) return false;
+        std::vector<double> exposures;
+        for (const TomlValue& item : value.items) {
+          const std::optional<double> seconds = AsNumber(item);
+          if (!seconds || *seconds < 1e-6 || *seconds > 100.0) return false;
+          if (!exposures.empty() && exposures.back() == *seconds) return false;
+          exposures.push_back(*seconds);
+        }
+        config.bracket.exposures_s = std::move(exposures);
+        return true;
+      },
+      [](const DaemonConfig& config) {
+        std::string text = "[";
+        for (const double seconds : config.bracket.exposures_s) {
+          if (text.size() > 1) text += ", ";
+          text += TomlText(seconds);
+        }
+        return text + "]";
+      }};
+}
+
+ConfigKey WhiteBalance() {
+  return {"photometry.white_balance", "an array of three gains (R, G, B), each from 0.1 to 10",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            std::array<double, 3>& gains = config.pipeline.options.white_balance;
+            if (value.type != TomlValue::Type::kArray || value.items.size() != gains.size()) {
+              return false;
+            }
+            for (std::size_t c = 0; c < gains.size(); ++c) {
+              const std::optional<double> gain = AsNumber(value.items[c]);
+              if (!gain || *gain < 0.1 || *gain > 10.0) return false;
+              gains[c] = *gain;
+            }
+            return true;
+          },
+          [](const DaemonConfig& config) {
+            const std::array<double, 3>& gains = config.pipeline.options.white_balance;
+            std::string text = "[";
+            for (const double gain : gains) {
+              if (text.size() > 1) text += ", ";
+              text += TomlText(gain);
+            }
+            return text + "]";
+          }};
+}
+
+ConfigKey SocketMode() {
+  return {
+      "api.socket_mode", "three octal digits after a 0, such as \"0660\"",
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        const std::string& text = value.text;
+        if (value.type != TomlValue::Type::kString || text.size() != 4 || text[0] != '0' ||
+            !std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '7'; })) {
+          return false;
+        }
+        unsigned mode = 0;
+        for (const char c : text) mode = mode * 8 + static_cast<unsigned>(c - '0');
+        config.api.socket_mode = mode;
+        return true;
+      },
+      [](const DaemonConfig& config) {
+        return TomlText(fmt::format("{:04o}", config.api.socket_mode));
+      }};
+}
+
+ConfigKey ChromaticityKey() {
+  return {
+      "output.chromaticities",
+      "an array of 8 numbers from -1 to 2: x and y of red, green, blue and white, white inside the "
+      "triangle of the others",
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        Chromaticities& chromaticities = config.pipeline.options.chromaticities;
+        if (value.type != TomlValue::Type::kArray || value.items.size() != chromaticities.size()) {
+          return false;
+        }
+        Chromaticities read{};
+        for (std::size_t i = 0; i < read.size(); ++i) {
+          const std::optional<double> number = AsNumber(value.items[i]);
+          if (!number) return false;
+          read[i] = *number;
+        }
+        if (!WhyNotChromaticities(read).empty()) return false;
+        chromaticities = read;
+        return true;
+      },
+      [](const DaemonConfig& config) {
+        std::string text;
+        for (const double number : config.pipeline.options.chromaticities) {
+          text += (text.empty() ? "[" : ", ") + TomlText(number);
+        }
+        return text + "]";
+      }};
+}
 
 // A lambda from the config to a member, as the makers want it.
 #define OMNIHDR_MEMBER(member) +[](DaemonConfig& c) -> decltype((c.member)) { return c.member; }
 
-  std::vector<ConfigKey> MakeKeys() {
-    constexpr std::int64_t kMaxInteger = std::numeric_limits<std::int64_t>::max();
-    constexpr std::size_t kPathBytes = 4096;
-    constexpr std::size_t kSocketPathBytes = 107;  // sockaddr_un
-    std::vector<ConfigKey> keys;
-    const auto add = [&keys](ConfigKey key) { keys.push_back(std::move(key)); };
+std::vector<ConfigKey> MakeKeys() {
+  constexpr std::int64_t kMaxInteger = std::numeric_limits<std::int64_t>::max();
+  constexpr std::size_t kPathBytes = 4096;
+  constexpr std::size_t kSocketPathBytes = 107;  // sockaddr_un
+  std::vector<ConfigKey> keys;
+  const auto add = [&keys](ConfigKey key) { keys.push_back(std::move(key)); };
 
-    add(Path("session.directory", "a directory", Empty::kRefused, kPathBytes,
-             OMNIHDR_MEMBER(session.directory)));
-    add(SessionName());
-    add(Choice("session.on_existing",
-               std::vector{OnExistingSession::kResume, OnExistingSession::kRefuse},
-               OMNIHDR_MEMBER(session.on_existing)));
+  add(Path("session.directory", "a directory", Empty::kRefused, kPathBytes,
+           OMNIHDR_MEMBER(session.directory)));
+  add(SessionName());
+  add(Choice("session.on_existing",
+             std::vector{OnExistingSession::kResume, OnExistingSession::kRefuse},
+             OMNIHDR_MEMBER(session.on_existing)));
 
-    add(Choice("camera.driver", std::vector{CameraDriver::kSim, CameraDriver::kReplay},
-               OMNIHDR_MEMBER(camera.driver)));
-    add(Number("camera.frame_timeout_s", "seconds", 0.01, 600,
-               OMNIHDR_MEMBER(camera.frame_timeout_s)));
-    add(Number("camera.exposure_tolerance", "a fraction", 0, 1,
-               OMNIHDR_MEMBER(camera.exposure_tolerance)));
-    add(Number("camera.reconnect_s", "seconds", 0.1, 3600, OMNIHDR_MEMBER(camera.reconnect_s)));
+  add(Choice("camera.driver", std::vector{CameraDriver::kSim, CameraDriver::kReplay},
+             OMNIHDR_MEMBER(camera.driver)));
+  add(Number("camera.frame_timeout_s", "seconds", 0.01, 600,
+             OMNIHDR_MEMBER(camera.frame_timeout_s)));
+  add(Number("camera.exposure_tolerance", "a fraction", 0, 1,
+             OMNIHDR_MEMBER(camera.exposure_tolerance)));
+  add(Number("camera.reconnect_s", "seconds", 0.1, 3600, OMNIHDR_MEMBER(camera.reconnect_s)));
 
-    add(Choice("camera.sim.scene",
-               std::vector{SimScene::kHall, SimScene::kYard, SimScene::kTunnel, SimScene::kStreet},
-               OMNIHDR_MEMBER(camera.sim.scene)));
-    add(Whole("camera.sim.seed", "a whole number", 0, kMaxInteger,
-              OMNIHDR_MEMBER(camera.sim.seed)));
-    add(EvenPixels("camera.sim.width", "", 128, 8192, OMNIHDR_MEMBER(camera.sim.width)));
-    add(Choice("camera.sim.projection",
-               std::vector{ProjectionKind::kEquirectangular, ProjectionKind::kCylindrical},
-               OMNIHDR_MEMBER(camera.sim.projection)));
-    add(Number("camera.sim.photons_full_well", "electrons", 100, 1e7,
-               OMNIHDR_MEMBER(camera.sim.photons_full_well)));
-    add(Number("camera.sim.read_noise", "code values", 0, 20,
-               OMNIHDR_MEMBER(camera.sim.read_noise)));
-    add(Number("camera.sim.speed_m_s", "metres per second", 0.001, 100,
-               OMNIHDR_MEMBER(camera.sim.speed_m_s)));
-    add(Number("camera.sim.yaw_deg_per_m", "degrees per metre", -360, 360,
-               OMNIHDR_MEMBER(camera.sim.yaw_deg_per_m)));
-    add(Number("camera.sim.sway_deg", "degrees", 0, 10, OMNIHDR_MEMBER(camera.sim.sway_deg)));
-    add(Number("camera.sim.latency_s", "seconds", 0, 60, OMNIHDR_MEMBER(camera.sim.latency_s)));
-    add(Number("camera.sim.lost_frame_probability", "a probability", 0, 1,
-               OMNIHDR_MEMBER(camera.sim.lost_frame_probability)));
-    add(Number("camera.sim.corrupt_frame_probability", "a probability", 0, 1,
-               OMNIHDR_MEMBER(camera.sim.corrupt_frame_probability)));
-    add(Number("camera.sim.exposure_error_probability", "a probability", 0, 1,
-               OMNIHDR_MEMBER(camera.sim.exposure_error_probability)));
-    add(NumberOrZero("camera.sim.max_distance_m", "metres", "for no end", 0.001, 1e6,
-                     OMNIHDR_MEMBER(camera.sim.max_distance_m)));
-    add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,
-             OMNIHDR_MEMBER(camera.replay.session)));
+  add(Choice("camera.sim.scene",
+             std::vector{SimScene::kHall, SimScene::kYard, SimScene::kTunnel, SimScene::kStreet},
+             OMNIHDR_MEMBER(camera.sim.scene)));
+  add(Whole("camera.sim.seed", "a whole number", 0, kMaxInteger, OMNIHDR_MEMBER(camera.sim.seed)));
+  add(Choice("camera.sim.layout", std::vector{SimLayout::kPanorama, SimLayout::kRig},
+             OMNIHDR_MEMBER(camera.sim.layout)));
+  add(EvenPixels("camera.sim.width", "", 128, 8192, OMNIHDR_MEMBER(camera.sim.width)));
+  add(Choice("camera.sim.projection",
+             std::vector{ProjectionKind::kEquirectangular, ProjectionKind::kCylindrical},
+             OMNIHDR_MEMBER(camera.sim.projection)));
+  add(Path("camera.sim.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.sim.rig)));
+  add(EvenPixels("camera.sim.sensor_width", "as the rig says", 64, 8192,
+                 OMNIHDR_MEMBER(camera.sim.sensor_width)));
+  add(Number("camera.sim.photons_full_well", "electrons", 100, 1e7,
+             OMNIHDR_MEMBER(camera.sim.photons_full_well)));
+  add(Number("camera.sim.read_noise", "code values", 0, 20, OMNIHDR_MEMBER(camera.sim.read_noise)));
+  add(Number("camera.sim.speed_m_s", "metres per second", 0.001, 100,
+             OMNIHDR_MEMBER(camera.sim.speed_m_s)));
+  add(Number("camera.sim.yaw_deg_per_m", "degrees per metre", -360, 360,
+             OMNIHDR_MEMBER(camera.sim.yaw_deg_per_m)));
+  add(Number("camera.sim.sway_deg", "degrees", 0, 10, OMNIHDR_MEMBER(camera.sim.sway_deg)));
+  add(Number("camera.sim.latency_s", "seconds", 0, 60, OMNIHDR_MEMBER(camera.sim.latency_s)));
+  add(Number("camera.sim.lost_frame_probability", "a probability", 0, 1,
+             OMNIHDR_MEMBER(camera.sim.lost_frame_probability)));
+  add(Number("camera.sim.corrupt_frame_probability", "a probability", 0, 1,
+             OMNIHDR_MEMBER(camera.sim.corrupt_frame_probability)));
+  add(Number("camera.sim.exposure_error_probability", "a probability", 0, 1,
+             OMNIHDR_MEMBER(camera.sim.exposure_error_probability)));
+  add(NumberOrZero("camera.sim.max_distance_m", "metres", "for no end", 0.001, 1e6,
+                   OMNIHDR_MEMBER(camera.sim.max_distance_m)));
+  add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.replay.session)));
 
-    add(Choice("bracket.order",
-               std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},
-               OMNIHDR_MEMBER(bracket.order)));
-    add(Exposures());
-    add(NumberOrZero("bracket.start_s", "seconds", "to use exposures_s", 1e-6, 100,
-                     OMNIHDR_MEMBER(bracket.start_s)));
-    add(Number("bracket.step_stops", "stops", 0.01, 10, OMNIHDR_MEMBER(bracket.step_stops)));
-    add(Whole("bracket.count", "a whole number", 1, 64, OMNIHDR_MEMBER(bracket.count)));
-    add(Number("bracket.gain_db", "decibels", -20, 60, OMNIHDR_MEMBER(bracket.gain_db)));
-    add(Whole("bracket.frames_per_position", "a whole number", 1, 1000,
-              OMNIHDR_MEMBER(bracket.frames_per_position)));
+  add(Choice("bracket.order",
+             std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},
+             OMNIHDR_MEMBER(bracket.order)));
+  add(Exposures());
+  add(NumberOrZero("bracket.start_s", "seconds", "to use exposures_s", 1e-6, 100,
+                   OMNIHDR_MEMBER(bracket.start_s)));
+  add(Number("bracket.step_stops", "stops", 0.01, 10, OMNIHDR_MEMBER(bracket.step_stops)));
+  add(Whole("bracket.count", "a whole number", 1, 64, OMNIHDR_MEMBER(bracket.count)));
+  add(Number("bracket.gain_db", "decibels", -20, 60, OMNIHDR_MEMBER(bracket.gain_db)));
+  add(Whole("bracket.frames_per_position", "a whole number", 1, 1000,
+            OMNIHDR_MEMBER(bracket.frames_per_position)));
 
-    add(Choice("trigger.source",
-               std::vector{TriggerKind::kSoftware, TriggerKind::kTimer, TriggerKind::kDistance,
-                           TriggerKind::kReplay},
-               OMNIHDR_MEMBER(trigger.source)));
-    add(Number("trigger.interval_s", "seconds", 0.001, 86400, OMNIHDR_MEMBER(trigger.interval_s)));
-    add(Number("trigger.distance_m", "metres", 0.001, 10000, OMNIHDR_MEMBER(trigger.distance_m)));
-    add(Whole("trigger.limit", "a whole number", 0, 1'000'000'000, OMNIHDR_MEMBER(trigger.limit)));
-    add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
+  add(Choice("trigger.source",
+             std::vector{TriggerKind::kSoftware, TriggerKind::kTimer, TriggerKind::kDistance,
+                         TriggerKind::kReplay},
+             OMNIHDR_MEMBER(trigger.source)));
+  add(Number("trigger.interval_s", "seconds", 0.001, 86400, OMNIHDR_MEMBER(trigger.interval_s)));
+  add(Number("trigger.distance_m", "metres", 0.001, 10000, OMNIHDR_MEMBER(trigger.distance_m)));
+  add(Whole("trigger.limit", "a whole number", 0, 1'000'000'000, OMNIHDR_MEMBER(trigger.limit)));
+  add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
 
-    add(Whole("recorder.queue_frames", "frames", 1, 256, OMNIHDR_MEMBER(recorder.queue_frames)));
-    add(Whole("recorder.png_compression", "a whole number", 0, 9,
-              OMNIHDR_MEMBER(recorder.png_compression)));
+  add(Whole("recorder.queue_frames", "frames", 1, 256, OMNIHDR_MEMBER(recorder.queue_frames)));
+  add(Whole("recorder.png_compression", "a whole number", 0, 9,
+            OMNIHDR_MEMBER(recorder.png_compression)));
 
-    add(Path("api.socket", "a socket path of at most 107 bytes", Empty::kRefused, kSocketPathBytes,
-             OMNIHDR_MEMBER(api.socket)));
-    add(SocketMode());
+  add(Path("api.socket", "a socket path of at most 107 bytes", Empty::kRefused, kSocketPathBytes,
+           OMNIHDR_MEMBER(api.socket)));
+  add(SocketMode());
 
-    add(Choice("log.level",
-               std::vector{LogLevel::kDebug, LogLevel::kInfo, LogLevel::kWarning, LogLevel::kError},
-               OMNIHDR_MEMBER(log.level)));
+  add(Choice("log.level",
+             std::vector{LogLevel::kDebug, LogLevel::kInfo, LogLevel::kWarning, LogLevel::kError},
+             OMNIHDR_MEMBER(log.level)));
 
-    add(Switch("pipeline.enabled", OMNIHDR_MEMBER(pipeline.enabled)));
-    add(Choice(
-        "pipeline.mode",
-        std::vector{ProcessMode::kAuto, ProcessMode::kSpatiotemporal, ProcessMode::kTemporal},
-        OMNIHDR_MEMBER(pipeline.options.mode)));
-    add(Whole("pipeline.workers", "a whole number", 0, 256, OMNIHDR_MEMBER(pipeline.workers)));
+  add(Switch("pipeline.enabled", OMNIHDR_MEMBER(pipeline.enabled)));
+  add(Choice("pipeline.mode",
+             std::vector{ProcessMode::kAuto, ProcessMode::kSpatiotemporal, ProcessMode::kTemporal},
+             OMNIHDR_MEMBER(pipeline.options.mode)));
+  add(Whole("pipeline.workers", "a whole number", 0, 256, OMNIHDR_MEMBER(pipeline.workers)));
 
-    add(Path("input.mask", "an image file or \"\"", Empty::kAllowed, kPathBytes,
-             OMNIHDR_MEMBER(pipeline.options.mask_file)));
+  add(Path("input.mask", "an image file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(pipeline.options.mask_file)));
 
-    add(EvenPixels("output.width", "for the width of the input", 128, 8192,
-                   OMNIHDR_MEMBER(pipeline.options.output_width)));
-    add(Choice("output.orientation",
-               std::vector{OutputOrientation::kAligned, OutputOrientation::kCamera},
-               OMNIHDR_MEMBER(pipeline.options.orientation)));
-    add(Whole("output.preview_quality", "a whole number", 1, 100,
-              OMNIHDR_MEMBER(pipeline.options.preview_quality)));
-    add(Choice("output.preview_tonemap",
-               std::vector{ToneOperator::kReinhard, ToneOperator::kReinhardLocal,
-                           ToneOperator::kDrago, ToneOperator::kDurand},
-               OMNIHDR_MEMBER(pipeline.options.preview.tone_operator)));
-    add(Number("output.preview_exposure_stops", "stops", -20, 20,
-               OMNIHDR_MEMBER(pipeline.options.preview.exposure_stops)));
-    add(Choice("output.exr_type", std::vector{ExrPixelType::kHalf, ExrPixelType::kFloat},
-               OMNIHDR_MEMBER(pipeline.options.exr_type)));
-    add(ChromaticityKey());
-    add(Choice("output.nan",
-               std::vector{NanPixels::kNever, NanPixels::kNoData, NanPixels::kUnmeasured},
-               OMNIHDR_MEMBER(pipeline.options.nan)));
+  add(EvenPixels("output.width", "for the width of the input", 128, 8192,
+                 OMNIHDR_MEMBER(pipeline.options.output_width)));
+  add(Choice("output.orientation",
+             std::vector{OutputOrientation::kAligned, OutputOrientation::kCamera},
+             OMNIHDR_MEMBER(pipeline.options.orientation)));
+  add(Whole("output.preview_quality", "a whole number", 1, 100,
+            OMNIHDR_MEMBER(pipeline.options.preview_quality)));
+  add(Choice("output.preview_tonemap",
+             std::vector{ToneOperator::kReinhard, ToneOperator::kReinhardLocal,
+                         ToneOperator::kDrago, ToneOperator::kDurand},
+             OMNIHDR_MEMBER(pipeline.options.preview.tone_operator)));
+  add(Number("output.preview_exposure_stops", "stops", -20, 20,
+             OMNIHDR_MEMBER(pipeline.options.preview.exposure_stops)));
+  add(Choice("output.exr_type", std::vector{ExrPixelType::kHalf, ExrPixelType::kFloat},
+             OMNIHDR_MEMBER(pipeline.options.exr_type)));
+  add(ChromaticityKey());
+  add(Choice("output.nan",
+             std::vector{NanPixels::kNever, NanPixels::kNoData, NanPixels::kUnmeasured},
+             OMNIHDR_MEMBER(pipeline.options.nan)));
 
-    add(Number("photometry.value_low", "8-bit code values", 0, 127,
-               OMNIHDR_MEMBER(pipeline.options.value_low)));
-    add(Number("photometry.value_high", "8-bit code values", 128, 255,
-               OMNIHDR_MEMBER(pipeline.options.value_high)));
-    add(Number("photometry.read_noise", "8-bit code values", 0, 50,
-               OMNIHDR_MEMBER(pipeline.options.noise.read)));
-    add(Number("photometry.gain", "code values of variance per code value", 0, 10,
-               OMNIHDR_MEMBER(pipeline.options.noise.gain)));
-    add(Number("photometry.prnu", "a fraction", 0, 0.2,
-               OMNIHDR_MEMBER(pipeline.options.noise.prnu)));
-    add(NumberOrZero("photometry.white_luminance", "cd/m²", "when it is not known", 1e-6, 1e9,
-                     OMNIHDR_MEMBER(pipeline.options.white_luminance)));
-    add(Choice("photometry.weights",
-               std::vector{MergeWeights::kInverseVariance, MergeWeights::kHat},
-               OMNIHDR_MEMBER(pipeline.options.weights)));
-    add(WhiteBalance());
-    add(Switch("photometry.refine_exposure", OMNIHDR_MEMBER(pipeline.options.refine_exposure)));
-    add(Number("photometry.refine_limit", "a fraction", 0.01, 0.5,
-               OMNIHDR_MEMBER(pipeline.options.refine_limit)));
+  add(Number("photometry.value_low", "8-bit code values", 0, 127,
+             OMNIHDR_MEMBER(pipeline.options.value_low)));
+  add(Number("photometry.value_high", "8-bit code values", 128, 255,
+             OMNIHDR_MEMBER(pipeline.options.value_high)));
+  add(Number("photometry.read_noise", "8-bit code values", 0, 50,
+             OMNIHDR_MEMBER(pipeline.options.noise.read)));
+  add(Number("photometry.gain", "code values of variance per code value", 0, 10,
+             OMNIHDR_MEMBER(pipeline.options.noise.gain)));
+  add(Number("photometry.prnu", "a fraction", 0, 0.2, OMNIHDR_MEMBER(pipeline.options.noise.prnu)));
+  add(NumberOrZero("photometry.white_luminance", "cd/m²", "when it is not known", 1e-6, 1e9,
+                   OMNIHDR_MEMBER(pipeline.options.white_luminance)));
+  add(Choice("photometry.weights", std::vector{MergeWeights::kInverseVariance, MergeWeights::kHat},
+             OMNIHDR_MEMBER(pipeline.options.weights)));
+  add(WhiteBalance());
+  add(Switch("photometry.refine_exposure", OMNIHDR_MEMBER(pipeline.options.refine_exposure)));
+  add(Number("photometry.refine_limit", "a fraction", 0.01, 0.5,
+             OMNIHDR_MEMBER(pipeline.options.refine_limit)));
 
-    add(EvenPixels("stereo.width", "", 128, 4096, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
-    add(Whole("stereo.labels", "a whole number", 16, 256, OMNIHDR_MEMBER(pipeline.options.labels)));
-    add(Number("stereo.max_parallax_deg", "degrees", 1, 90,
-               OMNIHDR_MEMBER(pipeline.options.max_parallax_deg)));
-    add(Whole("stereo.neighbours", "a whole number", 1, 2,
-              OMNIHDR_MEMBER(pipeline.options.neighbours)));
+  add(EvenPixels("stereo.width", "", 128, 4096, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
+  add(Whole("stereo.labels", "a whole number", 16, 256, OMNIHDR_MEMBER(pipeline.options.labels)));
+  add(Number("stereo.max_parallax_deg", "degrees", 1, 90,
+             OMNIHDR_MEMBER(pipeline.options.max_parallax_deg)));
+  add(Whole("stereo.neighbours", "a whole number", 1, 2,
+            OMNIHDR_MEMBER(pipeline.options.neighbours)));
 
-    add(Number("pose.min_baseline_ratio", "a ratio", 0, 0.5,
-               OMNIHDR_MEMBER(pipeline.options.min_baseline_ratio)));
+  add(Number("pose.min_baseline_ratio", "a ratio", 0, 0.5,
+             OMNIHDR_MEMBER(pipeline.options.min_baseline_ratio)));
 
-    add(Number("merge.consistency_sigma", "decades", 0.001, 10,
-               OMNIHDR_MEMBER(pipeline.options.consistency_sigma)));
-    return keys;
-  }
+  add(Number("merge.consistency_sigma", "decades", 0.001, 10,
+             OMNIHDR_MEMBER(pipeline.options.consistency_sigma)));
+  return keys;
+}
 
 #undef OMNIHDR_MEMBER
 

@@ -39,6 +39,9 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   sim::SimCameraOptions options;
   options.simulation.scene = Scene(from.scene);
   options.simulation.seed = from.seed;
+  options.simulation.layout = from.layout == SimLayout::kRig ? Layout::kRig : Layout::kPanorama;
+  options.simulation.rig_file = from.rig;
+  options.simulation.sensor_width = from.sensor_width;
   options.simulation.projection = from.projection;
   options.simulation.width = from.width;
   options.simulation.motion.yaw_deg_per_m = from.yaw_deg_per_m;

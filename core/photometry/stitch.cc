@@ -99,9 +99,9 @@ void StitchPiece(const StitchTable& table, const Source& source, int y, int begi
 
 }  // namespace
 
-Result<Stitcher> Stitcher::Create(Rig rig, const Projection& projection, const StitchMasks& masks) {
+Result<Stitcher> Stitcher::Create(Rig rig, const SphereGrid& grid, const StitchMasks& masks) {
   Stitcher stitcher;
-  OMNIHDR_ASSIGN(stitcher.table_, BuildStitchTable(rig, projection, masks));
+  OMNIHDR_ASSIGN(stitcher.table_, BuildStitchTable(rig, grid, masks));
   if (stitcher.table_.covered == 0.0) {
     return Fail(ErrorKind::kData,
                 "no sensor of the rig sees any of the panorama, expected lenses and masks that "
@@ -109,7 +109,7 @@ Result<Stitcher> Stitcher::Create(Rig rig, const Projection& projection, const S
   }
   OMNIHDR_ASSIGN(stitcher.rows_, StackedRows(rig));
   stitcher.rig_ = std::move(rig);
-  stitcher.projection_ = projection;
+  stitcher.grid_ = grid;
   return stitcher;
 }
 
@@ -174,7 +174,13 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
     }
   });
 
-  out->projection = projection_;
+  out->projection = {};
+  if (grid_.kind() == SphereGridKind::kEquirectangular) {
+    out->projection = Projection::Equirectangular(grid_.width(), grid_.height());
+  } else if (grid_.kind() == SphereGridKind::kCylindrical) {
+    out->projection =
+        Projection::Cylindrical(grid_.width(), grid_.height(), grid_.z_min(), grid_.z_max());
+  }
   out->saturation = {};
   out->variance_floor = {};
   out->variance_per_radiance = {};

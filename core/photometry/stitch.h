@@ -1,6 +1,7 @@
 #pragma once
 
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "core/base/result.h"
@@ -23,16 +24,20 @@ namespace omnihdr {
 class Stitcher {
  public:
   // Errors as BuildStitchTable, and where no sensor sees anything of the panorama.
-  static Result<Stitcher> Create(Rig rig, const Projection& projection, const StitchMasks& masks);
+  static Result<Stitcher> Create(Rig rig, const SphereGrid& grid, const StitchMasks& masks);
+  static Result<Stitcher> Create(Rig rig, const Projection& projection, const StitchMasks& masks) {
+    return Create(std::move(rig), SphereGrid(projection), masks);
+  }
 
   // Frames of one place (one, or a bracket taken standing still) to a measurement. `responses`: one
   // for all sensors, or one each. `out` is overwritten, its memory used again when it has the
-  // panorama's size. Errors as MergeMosaic.
+  // panorama's size; of grids that are no Projection (cube, RD-map) its projection is empty. Errors
+  // as MergeMosaic.
   Status Stitch(std::span<const RigFrame> frames, std::span<const Response> responses, int bits,
                 const MeasureOptions& options, Measurement* out);
 
   const Rig& rig() const { return rig_; }
-  const Projection& projection() const { return projection_; }
+  const SphereGrid& grid() const { return grid_; }
   int frame_width() const { return rig_.sensors.front().lens.width(); }
   int frame_height() const { return rows_.back(); }
   // Share of the panorama's pixels that some sensor sees.
@@ -42,7 +47,7 @@ class Stitcher {
   Stitcher() = default;
 
   Rig rig_;
-  Projection projection_;
+  SphereGrid grid_;
   std::vector<int> rows_;
   StitchTable table_;
   RadianceMosaic mosaic_;

@@ -350,7 +350,7 @@ void CountNoise(const Rig& rig, StitchTable* table) {
 
 }  // namespace
 
-Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projection,
+Result<StitchTable> BuildStitchTable(const Rig& rig, const SphereGrid& grid,
                                      const StitchMasks& masks) {
   OMNIHDR_TRY(rig.Validate());
   OMNIHDR_ASSIGN(const std::vector<int> stacked, StackedRows(rig));
@@ -362,7 +362,7 @@ Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projectio
                 mask.height(), width, height);
   };
   OMNIHDR_TRY(check("sensor", masks.sensors, stack_width, stacked.back()));
-  OMNIHDR_TRY(check("panorama", masks.panorama, projection.width(), projection.height()));
+  OMNIHDR_TRY(check("panorama", masks.panorama, grid.width(), grid.height()));
 
   std::vector<Eye> eyes;
   for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
@@ -389,8 +389,8 @@ Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projectio
     eyes.push_back(std::move(eye));
   }
 
-  const int width = projection.width();
-  const int height = projection.height();
+  const int width = grid.width();
+  const int height = grid.height();
   const double blend_width = rig.blend_width_deg * std::numbers::pi / 180.0;
   std::vector<RowOfSamples> rows(static_cast<std::size_t>(height));
   ParallelFor(height, 4, [&](int begin, int end) {
@@ -401,10 +401,10 @@ Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projectio
         std::vector<Sample>& samples = pixels[static_cast<std::size_t>(x)];
         samples.clear();
         if (!masks.panorama.empty() && masks.panorama.at(x, y) < 128) continue;
-        const Eigen::Vector3d ray = projection.RayFromPixel(x + 0.5, y + 0.5);
-        if (!ray.allFinite()) continue;
+        const std::optional<Eigen::Vector3d> ray = grid.RayFromPixel(x + 0.5, y + 0.5);
+        if (!ray) continue;
         for (std::size_t s = 0; s < eyes.size(); ++s) {
-          if (auto sample = SampleOf(eyes[s], stack_width, ray, rig.sphere_radius_m)) {
+          if (auto sample = SampleOf(eyes[s], stack_width, *ray, rig.sphere_radius_m)) {
             sample->sensor = static_cast<std::uint8_t>(s);
             samples.push_back(*sample);
           }

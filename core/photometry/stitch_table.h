@@ -7,8 +7,8 @@
 
 #include "core/base/result.h"
 #include "core/image/image.h"
-#include "core/sphere/projection.h"
 #include "core/sphere/rig.h"
+#include "core/sphere/sphere_grid.h"
 
 namespace omnihdr {
 
@@ -41,8 +41,8 @@ struct StitchNoiseGain {
   std::array<double, 3> per_radiance{};
 };
 
-// Where every pixel of a panorama comes from; built once for a rig and a projection. Immutable;
-// thread-safe to read.
+// Where every pixel of a panorama comes from; built once for a rig and the grid of a picture in any
+// projection. Immutable; thread-safe to read.
 struct StitchTable {
   int width = 0;
   int height = 0;
@@ -69,7 +69,7 @@ struct StitchMasks {
 // and every share falls to 0 at the sensor's edge. Points at sphere_radius_m along the camera's
 // rays: there the pictures meet. Uses the worker pool. Errors: an invalid rig, sensors that cannot
 // be stacked, masks of another size.
-Result<StitchTable> BuildStitchTable(const Rig& rig, const Projection& projection,
+Result<StitchTable> BuildStitchTable(const Rig& rig, const SphereGrid& grid,
                                      const StitchMasks& masks);
 
 }  // namespace omnihdr

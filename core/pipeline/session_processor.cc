@@ -13,7 +13,7 @@
 #include "core/base/file.h"
 #include "core/image/image_io.h"
 #include "core/photometry/exposure_refine.h"
-#include "core/photometry/measure.h"
+#include "core/pipeline/frame_measurer.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
 #include "core/session/session_reader.h"
@@ -26,26 +26,6 @@ using FramesByPosition = std::map<std::int64_t, std::vector<FrameRecord>>;
 
 double SecondsSince(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
-
-Result<Image<std::uint8_t>> LoadMask(const std::string& file, const CameraDescription& camera) {
-  OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(file));
-  if (decoded.width() != camera.width || decoded.height() != camera.height) {
-    return Fail(ErrorKind::kData, "{}: mask of {}x{}, expected the frames' size {}x{}", file,
-                decoded.width(), decoded.height(), camera.width, camera.height);
-  }
-  Image<std::uint8_t> mask(camera.width, camera.height);
-  std::visit(
-      [&mask](const auto& image) {
-        const int shift = sizeof(image.data()[0]) == 2 ? 8 : 0;
-        for (int y = 0; y < mask.height(); ++y) {
-          for (int x = 0; x < mask.width(); ++x) {
-            mask.at(x, y) = static_cast<std::uint8_t>(image.pixel(x, y)[0] >> shift);
-          }
-        }
-      },
-      decoded.pixels);
-  return mask;
 }
 
 // Of frames merged at one position, the one that stands for it: the exposure in the middle.
@@ -80,12 +60,6 @@ class SessionProcessorImpl final : public SessionProcessor {
 
   Status Prepare() {
     const CameraDescription& camera = info_.camera;
-    if (camera.layout == Layout::kRig) {
-      return Fail(ErrorKind::kData,
-                  "{}: camera.layout: \"rig\": stacked sensor frames cannot be processed by this "
-                  "version, expected \"panorama\" (or \"perspective\" with mode temporal)",
-                  (session_ / "session.json").string());
-    }
     if (camera.layout == Layout::kPerspective && options_.mode == ProcessMode::kSpatiotemporal) {
       return Fail(ErrorKind::kData,
                   "{}: camera.layout: \"perspective\" can only be processed in mode temporal",
@@ -93,9 +67,13 @@ class SessionProcessorImpl final : public SessionProcessor {
     }
     is_temporal_ = options_.mode == ProcessMode::kTemporal ||
                    (options_.mode == ProcessMode::kAuto && camera.layout == Layout::kPerspective);
+    Image<std::uint8_t> mask;
     if (!options_.mask_file.empty()) {
-      OMNIHDR_ASSIGN(mask_, LoadMask(options_.mask_file, camera));
+      OMNIHDR_ASSIGN(mask, ReadMask(options_.mask_file));
     }
+    OMNIHDR_ASSIGN(FrameMeasurer measurer,
+                   FrameMeasurer::Open(session_, info_, mask.view(), options_.mask_file));
+    measurer_.emplace(std::move(measurer));
     std::error_code error;
     std::filesystem::create_directories(views_, error);
     if (error) {
@@ -361,12 +339,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     measure.weights = options_.weights;
     measure.white_balance = options_.white_balance;
     std::vector<std::string> notes = RefineLabels(exposed, usable);
-    const CameraDescription& camera = info_.camera;
-    const Projection projection = camera.layout == Layout::kPanorama
-                                      ? camera.PanoramaProjection()
-                                      : Projection::Equirectangular(camera.width, camera.height);
-    Result<Measurement> measurement =
-        Measure(exposed, projection, info_.response, camera.bits, mask_.view(), measure);
+    Result<Measurement> measurement = measurer_->Measure(exposed, measure);
     if (!measurement) {
       if (count) {
         ++counts_.positions_without_pixels;
@@ -395,8 +368,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     refine.value_low = options_.value_low;
     refine.value_high = options_.value_high;
     refine.noise = options_.noise;
-    const Result<std::vector<RefinedExposure>> refined =
-        RefineExposures(exposed, info_.response, info_.camera.bits, mask_.view(), refine);
+    const Result<std::vector<RefinedExposure>> refined = RefineExposures(
+        exposed, info_.response, info_.camera.bits, measurer_->frame_mask(), refine);
     if (!refined) return notes;  // Measure tells what is wrong with them
     std::vector<std::string> names;
     for (const FrameRecord* record : records) {
@@ -438,14 +411,15 @@ class SessionProcessorImpl final : public SessionProcessor {
     view.position = PositionId{position};
     view.frames = loaded->frames;
     view.reference = loaded->reference.frame;
-    view.is_latlong = info_.camera.layout == Layout::kPanorama;
+    view.is_latlong = info_.camera.layout != Layout::kPerspective;
     view.warnings = loaded->notes;
     if (loaded->frames.size() == 1) {
       view.warnings.push_back("one exposure at this position: no range gained");
     }
     if (view.is_latlong) {
-      const int width = options_.output_width != 0 ? options_.output_width
-                                                   : std::min(info_.camera.width / 2 * 2, 8192);
+      const int width = options_.output_width != 0
+                            ? options_.output_width
+                            : std::min(measurer_->projection().width() / 2 * 2, 8192);
       view.merged = MergeViews({&loaded->measurement, Pose{}, nullptr}, nullptr, nullptr, {},
                                Eigen::Quaterniond::Identity(), width, MergeOptions{});
     } else {
@@ -527,7 +501,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   bool is_temporal_ = false;
   bool started_ = false;
   bool at_end_ = false;
-  Image<std::uint8_t> mask_;
+  std::optional<FrameMeasurer> measurer_;
   std::unique_ptr<ViewPipeline> pipeline_;
   FramesByPosition pending_;
   std::optional<std::int64_t> last_taken_;

@@ -4,6 +4,7 @@
 #include <optional>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
@@ -29,6 +30,8 @@ struct CameraInfo {
   ExposureProof proof = ExposureProof::kNone;
   // JSON object for session.json's additive keys, empty for none.
   std::string extra_json;
+  // What belongs beside session.json: a rig's calibration (layout rig), its masks.
+  std::vector<SessionFile> files;
 };
 
 // One picture to take: which trigger wants it and with what exposure.

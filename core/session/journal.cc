@@ -81,6 +81,12 @@ int RemoveTemporaryFiles(const fs::path& directory) {
   return removed;
 }
 
+// Whether a relative path stays within the directory it is relative to.
+bool IsInside(const fs::path& path) {
+  return path.is_relative() &&
+         std::none_of(path.begin(), path.end(), [](const fs::path& part) { return part == ".."; });
+}
+
 }  // namespace
 
 Result<SessionWriter> SessionWriter::Create(const fs::path& directory, const SessionInfo& info) {
@@ -100,6 +106,15 @@ Result<SessionWriter> SessionWriter::Create(const fs::path& directory, const Ses
     return Fail(ErrorKind::kCannotCreate, "{}: already holds a session", directory.string());
   }
   OMNIHDR_TRY(MakeDirectories(directory / "raw"));
+  for (const SessionFile& file : info.files) {
+    const fs::path relative(file.name);
+    if (file.name.empty() || !IsInside(relative)) {
+      return Fail(ErrorKind::kCannotCreate, "{}: \"{}\", expected a file's name inside the session",
+                  directory.string(), file.name);
+    }
+    OMNIHDR_TRY(MakeDirectories((directory / relative).parent_path()));
+    OMNIHDR_TRY(WriteFileAtomic(directory / relative, file.content));
+  }
   OMNIHDR_TRY(WriteFileAtomic(InfoPath(directory), text));
   writer.directory_ = directory;
   return writer;

@@ -19,8 +19,8 @@ namespace omnihdr {
 // advisory lock on frames.jsonl refuses a second). Not thread-safe.
 class SessionWriter {
  public:
-  // Makes the directory (parents included), session.json and an empty journal. Fails when the
-  // directory already holds a session.
+  // Makes the directory (parents included), info.files, session.json and an empty journal. Fails
+  // when the directory already holds a session.
   static Result<SessionWriter> Create(const std::filesystem::path& directory,
                                       const SessionInfo& info);
   // Continues an existing session: drops a torn last line from the journal, removes temporary

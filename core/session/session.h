@@ -39,7 +39,8 @@ struct CameraDescription {
   ProjectionKind projection = ProjectionKind::kEquirectangular;  // layout panorama
   double z_min = 0.0;                                            // cylindrical only
   double z_max = 0.0;
-  std::string bayer;                      // layout rig: RGGB, GRBG, GBRG or BGGR
+  // layout rig: RGGB, GRBG, GBRG or BGGR, or none where the sensors deliver grey or finished colour
+  std::string bayer;
   PerspectiveIntrinsics intrinsics;       // layout perspective
   Projection PanoramaProjection() const;  // requires layout panorama
 };
@@ -55,6 +56,12 @@ struct BracketDescription {
   int frames_per_position = 1;
 };
 
+// A small file that lies beside session.json from the start, such as the rig's calibration.
+struct SessionFile {
+  std::string name;  // relative to the session directory, without ".."
+  std::string content;
+};
+
 struct SessionInfo {
   std::string created;  // ISO 8601, UTC
   CameraDescription camera;
@@ -63,6 +70,9 @@ struct SessionInfo {
   // Free-form additive keys that our own tools wrote ("simulation": ...), kept as JSON text and
   // passed through; empty when absent. A JSON object: {"simulation": {...}}.
   std::string extra_json;
+  // What SessionWriter::Create stores beside session.json; not read back. Layout rig: rig.toml and
+  // the masks it names.
+  std::vector<SessionFile> files;
 };
 
 // Why a journal line has or has not usable pixels.

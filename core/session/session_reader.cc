@@ -74,10 +74,10 @@ Result<CameraDescription> ReadCamera(const ObjectReader& session) {
       }
     }
   } else if (camera.layout == Layout::kRig) {
-    constexpr std::string_view kBayer = "\"RGGB\", \"GRBG\", \"GBRG\" or \"BGGR\"";
+    constexpr std::string_view kBayer = "\"RGGB\", \"GRBG\", \"GBRG\", \"BGGR\" or \"none\"";
     OMNIHDR_ASSIGN(camera.bayer, json.String("bayer", kBayer));
     if (camera.bayer != "RGGB" && camera.bayer != "GRBG" && camera.bayer != "GBRG" &&
-        camera.bayer != "BGGR") {
+        camera.bayer != "BGGR" && camera.bayer != "none") {
       return json.Wrong("bayer", kBayer);
     }
   } else if (json.Has("fx") || json.Has("fy") || json.Has("cx") || json.Has("cy")) {

@@ -15,6 +15,7 @@ namespace {
 struct SimulateArguments {
   std::string directory;
   std::string scene = "hall";
+  std::string layout = "panorama";
   std::string projection = "equirectangular";
   std::string order = "sawtooth";
   std::vector<double> exposures_s;
@@ -36,6 +37,11 @@ Result<int> Simulate(const SimulateArguments& arguments) {
                 arguments.scene);
   }
   options.simulation.scene = *scene;
+  if (arguments.layout == "rig") {
+    options.simulation.layout = Layout::kRig;
+  } else if (arguments.layout != "panorama") {
+    return Fail(ErrorKind::kUsage, "--layout: {}: expected panorama or rig", arguments.layout);
+  }
   const auto projection = ProjectionKindFromString(arguments.projection);
   if (!projection) {
     return Fail(ErrorKind::kUsage, "--projection: {}: expected equirectangular or cylindrical",
@@ -113,6 +119,16 @@ void AddSimulateCommand(CLI::App& app, CommandRun& run) {
   command
       ->add_option("--frames-per-position", options.bracket.frames_per_position,
                    "frames at each position; the number of exposures gives a data matrix")
+      ->capture_default_str();
+  command
+      ->add_option("--layout", arguments->layout,
+                   "panorama, or rig: stacked raw frames of a head of several sensors")
+      ->capture_default_str();
+  command->add_option("--rig", options.simulation.rig_file,
+                      "rig file of that head; the nominal Ladybug2 when not given");
+  command
+      ->add_option("--sensor-width", options.simulation.sensor_width,
+                   "columns of each of its sensors; 0 = as the rig says")
       ->capture_default_str();
   command->add_option("--width", options.simulation.width, "width of the panorama in pixels")
       ->capture_default_str();

@@ -113,8 +113,9 @@ void Text(cv::Mat& sheet, const std::string& text, int x, int y, double size) {
 Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& session,
                                              const ContactSheetOptions& options) {
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
-  if (contents.info.camera.layout != Layout::kPanorama) {
-    return Fail(ErrorKind::kData, "{}: layout: \"{}\", a contact sheet needs \"panorama\"",
+  if (contents.info.camera.layout == Layout::kPerspective) {
+    return Fail(ErrorKind::kData,
+                "{}: layout: \"{}\", a contact sheet needs \"panorama\" or \"rig\"",
                 (session / "session.json").string(), ToString(contents.info.camera.layout));
   }
   const std::filesystem::path views =
@@ -123,8 +124,8 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
   if (complete.empty()) return Fail(ErrorKind::kNoInput, "{}: no complete view", views.string());
   OMNIHDR_ASSIGN(const std::unique_ptr<Reference> reference,
                  OpenReference(session, contents, options.evaluation.photographs));
-  OMNIHDR_ASSIGN(const Image<std::uint8_t> mask,
-                 LoadFrameMask(options.evaluation.mask, contents.info.camera));
+  OMNIHDR_ASSIGN(FrameMeasurer measurer,
+                 OpenOwnFrames(session, contents.info, options.evaluation.mask));
   const std::vector<PositionId> positions = Sampled(complete, options.rows);
 
   const int width = options.cell_width;
@@ -146,8 +147,8 @@ Result<Image<std::uint8_t>> MakeContactSheet(const std::filesystem::path& sessio
     }
     const Projection output =
         Projection::Equirectangular(view.radiance.width(), view.radiance.height());
-    OMNIHDR_ASSIGN(const Image<float> own, OwnFrameRadiance(session, contents.info, *frame, mask,
-                                                            output, view.record.orientation));
+    OMNIHDR_ASSIGN(const Image<float> own,
+                   OwnFrameRadiance(session, measurer, *frame, output, view.record.orientation));
     Row row;
     row.label = fmt::format("position {}   exposure {:.3g} s   {} frames", Value(position),
                             frame->exposure.EffectiveSeconds(), view.record.frames.size());

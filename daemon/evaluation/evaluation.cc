@@ -170,15 +170,15 @@ bool Known(const float* rgb) {
 
 Status ScorePictures(const std::filesystem::path& session, const SessionContents& contents,
                      const ViewFiles& view, const Place& place, const Reference& reference,
-                     std::optional<double> baseline, ImageView<const std::uint8_t> mask,
+                     std::optional<double> baseline, FrameMeasurer& measurer,
                      PositionScore& score) {
   const int width = view.radiance.width();
   const int height = view.radiance.height();
   const Projection output = Projection::Equirectangular(width, height);
   OMNIHDR_ASSIGN(const Reference::Picture truth,
                  reference.Render(*place.own, output, view.record.orientation));
-  OMNIHDR_ASSIGN(const Image<float> own, OwnFrameRadiance(session, contents.info, *place.own, mask,
-                                                          output, view.record.orientation));
+  OMNIHDR_ASSIGN(const Image<float> own,
+                 OwnFrameRadiance(session, measurer, *place.own, output, view.record.orientation));
   const Range range = BracketRange(contents);
   ComparisonArea area = SphereArea(output);
   Image<std::uint8_t> compared(width, height, 1);
@@ -275,14 +275,15 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
                                      const EvaluationOptions& options,
                                      const std::function<void(int, int)>& progress) {
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
-  if (contents.info.camera.layout != Layout::kPanorama) {
-    return Fail(ErrorKind::kData, "{}: layout: \"{}\", only \"panorama\" can be evaluated",
+  if (contents.info.camera.layout == Layout::kPerspective) {
+    return Fail(ErrorKind::kData,
+                "{}: layout: \"{}\", only \"panorama\" and \"rig\" can be evaluated",
                 (session / "session.json").string(), ToString(contents.info.camera.layout));
   }
   const std::filesystem::path views = options.views.empty() ? session / "views" : options.views;
   OMNIHDR_ASSIGN(const std::unique_ptr<Reference> reference,
                  OpenReference(session, contents, options.photographs));
-  OMNIHDR_ASSIGN(const Image<std::uint8_t> mask, LoadFrameMask(options.mask, contents.info.camera));
+  OMNIHDR_ASSIGN(FrameMeasurer measurer, OpenOwnFrames(session, contents.info, options.mask));
   OMNIHDR_ASSIGN(Places places, ReadPlaces(contents, views));
   if (reference) {
     for (auto& [position, place] : places) {
@@ -314,7 +315,7 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
       if (reference && place.own->status == FrameStatus::kOk) {
         OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, at->first));
         OMNIHDR_TRY(ScorePictures(session, contents, view, place, *reference,
-                                  MeanBaseline(places, at), mask, position)
+                                  MeanBaseline(places, at), measurer, position)
                         .Context(fmt::format("position {}", Value(at->first))));
       }
     }

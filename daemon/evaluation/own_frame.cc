@@ -12,53 +12,41 @@
 #include "core/photometry/sampler.h"
 
 namespace omnihdr {
-namespace {
-
-template <typename T>
-void KeepWhite(const Image<T>& picture, double white, Image<std::uint8_t>& mask) {
-  for (int y = 0; y < mask.height(); ++y) {
-    for (int x = 0; x < mask.width(); ++x) {
-      if (static_cast<double>(picture.at(x, y)) < white / 2.0) mask.at(x, y) = 0;
-    }
-  }
-}
-
-}  // namespace
-
-Result<Image<std::uint8_t>> LoadFrameMask(const FrameMaskOptions& options,
-                                          const CameraDescription& camera) {
-  Image<std::uint8_t> mask(camera.width, camera.height, 1, 255);
+Result<FrameMeasurer> OpenOwnFrames(const std::filesystem::path& session, const SessionInfo& info,
+                                    const FrameMaskOptions& options) {
+  const CameraDescription& camera = info.camera;
+  const bool is_rig = camera.layout == Layout::kRig;
+  Image<std::uint8_t> mask;
   if (!options.file.empty()) {
-    OMNIHDR_ASSIGN(const DecodedImage picture, ReadImage(options.file).Context("mask"));
-    if (picture.width() != camera.width || picture.height() != camera.height) {
-      return Fail(ErrorKind::kData, "mask: {}: {}x{} pixels, expected the frames' size {}x{}",
-                  options.file.string(), picture.width(), picture.height(), camera.width,
-                  camera.height);
+    OMNIHDR_ASSIGN(mask, ReadMask(options.file).Context("mask"));
+  }
+  if (options.ignore_bottom > 0.0) {
+    if (mask.empty()) {
+      // A rig's panorama has no size of its own; rows are counted in thousandths of it.
+      mask = is_rig ? Image<std::uint8_t>(2000, 1000, 1, 255)
+                    : Image<std::uint8_t>(camera.width, camera.height, 1, 255);
+    } else if (is_rig && mask.width() != 2 * mask.height()) {
+      return Fail(ErrorKind::kUsage,
+                  "mask: {}: {}x{} pixels, expected a lat-long picture together with rows to be "
+                  "ignored",
+                  options.file.string(), mask.width(), mask.height());
     }
-    if (picture.is_16_bit()) {
-      KeepWhite(std::get<1>(picture.pixels), 65535.0, mask);
-    } else {
-      KeepWhite(std::get<0>(picture.pixels), 255.0, mask);
+    const int first_ignored =
+        mask.height() - static_cast<int>(std::lround(options.ignore_bottom * mask.height()));
+    for (int y = std::max(first_ignored, 0); y < mask.height(); ++y) {
+      std::memset(mask.row(y), 0, static_cast<std::size_t>(mask.width()));
     }
   }
-  const int first_ignored =
-      camera.height - static_cast<int>(std::lround(options.ignore_bottom * camera.height));
-  for (int y = std::max(first_ignored, 0); y < camera.height; ++y) {
-    std::memset(mask.row(y), 0, static_cast<std::size_t>(camera.width));
-  }
-  return mask;
+  return FrameMeasurer::Open(session, info, mask.view(), "mask: " + options.file.string());
 }
 
-Result<Image<float>> OwnFrameRadiance(const std::filesystem::path& session, const SessionInfo& info,
-                                      const FrameRecord& frame, ImageView<const std::uint8_t> mask,
-                                      const Projection& output,
+Result<Image<float>> OwnFrameRadiance(const std::filesystem::path& session, FrameMeasurer& measurer,
+                                      const FrameRecord& frame, const Projection& output,
                                       const Eigen::Quaterniond& camera_from_output) {
   OMNIHDR_ASSIGN(const DecodedImage picture, ReadImage(session / frame.file));
   const std::array<ExposedFrame, 1> exposed = {ExposedFrame{&picture, frame.exposure}};
   OMNIHDR_ASSIGN(const Measurement measurement,
-                 Measure(exposed, info.camera.PanoramaProjection(), info.response, info.camera.bits,
-                         mask, MeasureOptions{})
-                     .Context(frame.file));
+                 measurer.Measure(exposed, MeasureOptions{}).Context(frame.file));
   const PanoramaSampler sampler(measurement);
   const Eigen::Matrix3d rotation = camera_from_output.toRotationMatrix();
   Image<float> radiance(output.width(), output.height(), 3,

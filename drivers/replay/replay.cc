@@ -11,6 +11,7 @@
 #include "core/base/file.h"
 #include "core/image/image_io.h"
 #include "core/session/session_reader.h"
+#include "core/session/session_rig.h"
 
 namespace omnihdr {
 namespace {
@@ -43,10 +44,11 @@ Result<CameraInfo> ReplayCamera::Open() {
     if (error.kind == ErrorKind::kNoInput) error.kind = ErrorKind::kUnavailable;
     return Forward(std::move(error), "replay camera");
   }
+  std::vector<SessionFile> files;
   if (contents->info.camera.layout == Layout::kRig) {
-    return Fail(ErrorKind::kConfig,
-                "replay camera: {}: layout rig: expected panorama or perspective",
-                options_.session.string());
+    Result<std::vector<SessionFile>> rig = ReadRigFiles(options_.session);
+    if (!rig) return Forward(std::move(rig).error(), "replay camera");
+    files = std::move(*rig);
   }
   std::lock_guard lock(mutex_);
   open_ = true;
@@ -62,6 +64,7 @@ Result<CameraInfo> ReplayCamera::Open() {
       Nanoseconds(static_cast<std::int64_t>(std::llround(options_.interval_s * 1e9)));
   info.proof = ExposureProof::kFile;
   info.extra_json = info_.extra_json;
+  info.files = std::move(files);
   return info;
 }
 

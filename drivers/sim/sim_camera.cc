@@ -8,6 +8,7 @@
 #include <cstring>
 #include <utility>
 
+#include "core/session/rig_file.h"
 #include "drivers/sim/geometry.h"
 #include "drivers/sim/sensor.h"
 
@@ -74,6 +75,11 @@ Result<CameraInfo> SimCamera::Open() {
   const Simulation& simulation = options_.simulation;
   if (!world_) world_ = World::Create(simulation.scene, simulation.seed);
   world_->PrepareLight();
+  if (simulation.layout == Layout::kRig && !optics_) {
+    Result<Rig> rig = simulation.MakeRig();
+    if (!rig) return Forward(std::move(rig).error(), "simulated camera");
+    optics_ = std::make_unique<RigOptics>(std::move(*rig));
+  }
   if (render_time_ == Nanoseconds(0)) {
     const HostTime before = clock_.Now();
     const double first = std::max(0.0, last_odometer_m_ + options_.interval_m);
@@ -90,7 +96,8 @@ Result<CameraInfo> SimCamera::Open() {
     last_exposure_.reset();
   }
   CameraInfo info;
-  info.description = simulation.Camera();
+  info.description = simulation.Camera(optics_ ? &optics_->rig() : nullptr);
+  if (optics_) info.files.push_back({"rig.toml", FormatRig(optics_->rig())});
   info.shortest = ExposureTime::Seconds(kShortest);
   info.longest = ExposureTime::Seconds(kLongest);
   // What the renderer keeps up with, with a quarter in reserve: other work shares the processor.
@@ -243,6 +250,10 @@ Result<CameraFrame> SimCamera::Receive(Nanoseconds timeout) {
 
 std::shared_ptr<const Image<float>> SimCamera::RenderAt(double odometer_m) const {
   const Simulation& simulation = options_.simulation;
+  if (optics_) {
+    return std::make_shared<const Image<float>>(
+        optics_->Collect(*world_, simulation.PoseAt(*world_, odometer_m), simulation.samples));
+  }
   RenderedView view = world_->Render(simulation.PoseAt(*world_, odometer_m),
                                      simulation.MakeProjection(), simulation.samples);
   return std::make_shared<const Image<float>>(std::move(view.radiance));

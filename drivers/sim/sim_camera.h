@@ -12,6 +12,7 @@
 #include "core/base/clock.h"
 #include "core/base/stage.h"
 #include "core/ports/camera.h"
+#include "drivers/sim/rig_optics.h"
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
 
@@ -36,7 +37,7 @@ struct SimCameraOptions {
   // taken to be when a request carries no odometer (trigger number times this). 0 = it stands
   // still.
   double interval_m = 0.3;
-  int render_ahead = 2;     // pictures kept ready, 0 to 8; each takes 12 bytes a pixel
+  int render_ahead = 2;     // pictures kept ready, 0 to 8; each takes 4 bytes a value
   double readout_s = 0.02;  // sensor busy after the exposure, 0 to 10
   double latency_s = 0.0;   // further delay until the frame arrives, 0 to 60
   FaultOptions faults;
@@ -99,6 +100,7 @@ class SimCamera final : public Camera {
   const SimCameraOptions options_;
   const SystemClock clock_;
   std::shared_ptr<const World> world_;
+  std::unique_ptr<const RigOptics> optics_;  // layout rig, from the first Open on
   Nanoseconds render_time_{0};
 
   mutable std::mutex mutex_;

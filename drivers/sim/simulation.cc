@@ -13,7 +13,10 @@
 
 #include "core/capture/recorder.h"
 #include "core/image/image_io.h"
+#include "core/photometry/mosaic.h"
 #include "core/session/journal.h"
+#include "core/session/rig_file.h"
+#include "drivers/sim/rig_optics.h"
 
 namespace omnihdr::sim {
 namespace {
@@ -55,6 +58,14 @@ Status Simulation::Validate() const {
   if (samples != 1 && samples != 4 && samples != 9 && samples != 16) {
     return Fail(ErrorKind::kConfig, "samples: {}: expected 1, 4, 9 or 16", samples);
   }
+  if (layout == Layout::kPerspective) {
+    return Fail(ErrorKind::kConfig, "layout: perspective: expected panorama or rig");
+  }
+  if (sensor_width != 0) OMNIHDR_TRY(Check("sensor_width", sensor_width, 64, 8192));
+  if (sensor_width % 2 != 0) {
+    return Fail(ErrorKind::kConfig, "sensor_width: {}: expected an even number", sensor_width);
+  }
+  if (layout == Layout::kRig) OMNIHDR_TRY(MakeRig());
   OMNIHDR_TRY(Check("start_m", start_m, -1e6, 1e6));
   OMNIHDR_TRY(motion.Validate());
   return sensor.Validate();
@@ -69,12 +80,39 @@ Projection Simulation::MakeProjection() const {
   return Projection::Equirectangular(width, width / 2);
 }
 
-CameraDescription Simulation::Camera() const {
+Result<Rig> Simulation::MakeRig() const {
+  Result<Rig> nominal = rig_file.empty() ? NominalRig() : ReadRig(rig_file);
+  if (!nominal) return Forward(std::move(nominal).error(), "rig");
+  Result<Rig> unit = SimulatedUnit(*nominal, sensor_width, seed);
+  if (!unit) return unit;
+  if (Result<std::vector<int>> rows = StackedRows(*unit); !rows) {
+    return Forward(std::move(rows).error(), rig_file);
+  }
+  for (const RigSensor& each : unit->sensors) {
+    if (each.bayer != unit->sensors.front().bayer) {
+      return Fail(ErrorKind::kConfig,
+                  "{}: sensor \"{}\": bayer: \"{}\", expected \"{}\" as sensor "
+                  "\"{}\": a session has one order",
+                  rig_file, each.name, ToString(each.bayer), ToString(unit->sensors.front().bayer),
+                  unit->sensors.front().name);
+    }
+  }
+  return unit;
+}
+
+CameraDescription Simulation::Camera(const Rig* rig) const {
   const Projection panorama = MakeProjection();
   CameraDescription camera;
   camera.model = "omnihdr simulator";
   camera.serial = fmt::format("{}-{}", ToString(scene), seed);
   camera.bits = 8;
+  if (rig != nullptr) {
+    camera.layout = Layout::kRig;
+    camera.width = rig->sensors.front().lens.width();
+    camera.height = StackedRows(*rig).value().back();
+    camera.bayer = ToString(rig->sensors.front().bayer);
+    return camera;
+  }
   camera.layout = Layout::kPanorama;
   camera.width = panorama.width();
   camera.height = panorama.height();
@@ -87,6 +125,7 @@ CameraDescription Simulation::Camera() const {
 std::string FormatSimulation(const Simulation& s) {
   const Json simulation = {{"scene", ToString(s.scene)},
                            {"seed", s.seed},
+                           {"layout", ToString(s.layout)},
                            {"projection", ToString(s.projection)},
                            {"width", s.width},
                            {"samples", s.samples},
@@ -169,7 +208,15 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
 
   SessionInfo info;
   info.created = options.created.empty() ? NowIso8601() : options.created;
-  info.camera = simulation.Camera();
+  std::optional<RigOptics> optics;
+  if (simulation.layout == Layout::kRig) {
+    OMNIHDR_ASSIGN(Rig rig, simulation.MakeRig());
+    info.camera = simulation.Camera(&rig);
+    info.files.push_back({"rig.toml", FormatRig(rig)});
+    optics.emplace(std::move(rig));
+  } else {
+    info.camera = simulation.Camera();
+  }
   info.bracket = plan.Description();
   info.extra_json = FormatSimulation(simulation);
   OMNIHDR_ASSIGN(SessionWriter writer, SessionWriter::Create(directory, info));
@@ -180,7 +227,9 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
   for (int position = 0; position < options.positions; ++position) {
     const double odometer = position * options.spacing_m;
     const Pose pose = simulation.PoseAt(*world, odometer);
-    const RenderedView view = world->Render(pose, projection, simulation.samples);
+    const Image<float> light =
+        optics ? optics->Collect(*world, pose, simulation.samples)
+               : std::move(world->Render(pose, projection, simulation.samples).radiance);
     for (int i = 0; i < per_position; ++i) {
       const auto number =
           static_cast<std::uint64_t>(position) * static_cast<std::uint64_t>(per_position) +
@@ -200,7 +249,7 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
       record.proof = ExposureProof::kEmbedded;
       record.truth_json = FormatTruth(simulation, pose, odometer);
       const Image<std::uint8_t> pixels =
-          Expose(view.radiance, record.exposure, simulation.sensor, number);
+          Expose(light.view(), record.exposure, simulation.sensor, number);
       OMNIHDR_ASSIGN(const std::vector<std::byte> png, EncodePng(pixels.view()));
       OMNIHDR_TRY(writer.Append(record, png));
       if (progress) progress(record);

@@ -9,6 +9,7 @@
 #include "core/base/result.h"
 #include "core/capture/bracket_plan.h"
 #include "core/session/session.h"
+#include "core/sphere/rig.h"
 #include "drivers/sim/sensor.h"
 #include "drivers/sim/world.h"
 
@@ -19,8 +20,14 @@ namespace omnihdr::sim {
 struct Simulation {
   SceneKind scene = SceneKind::kHall;
   std::uint64_t seed = 1;
+  // What the camera delivers: panoramas, or stacked raw frames of a rig (kPanorama, kRig).
+  Layout layout = Layout::kPanorama;
   ProjectionKind projection = ProjectionKind::kEquirectangular;
-  int width = 1536;      // of the panorama, 128 to 8192; its height follows
+  int width = 1536;  // of the panorama, 128 to 8192; its height follows
+  // The rig: a rig file, empty = the nominal Ladybug2. Its sensors get so many columns, an even
+  // number of 64 to 8192; 0 = as the file says.
+  std::string rig_file;
+  int sensor_width = 0;
   int samples = 4;       // rays a pixel: 1, 4, 9 or 16
   double start_m = 0.0;  // distance along the path at odometer 0
   MotionOptions motion;
@@ -33,7 +40,10 @@ struct Simulation {
   Pose PoseAt(const World& world, double odometer_m) const {
     return world.PoseAt(start_m + odometer_m, motion);
   }
-  CameraDescription Camera() const;
+  // The unit that takes the pictures (layout rig): SimulatedUnit of the rig file, of this seed.
+  Result<Rig> MakeRig() const;
+  // `rig`: of the layout rig, else null.
+  CameraDescription Camera(const Rig* rig = nullptr) const;
 };
 
 // {"simulation": {...}} and back; keys that are missing keep their default, unknown ones are

@@ -263,6 +263,101 @@ RenderedView World::Render(const Pose& world_from_camera, const Projection& proj
   return view;
 }
 
+RenderedView World::RenderRays(const Pose& world_from_camera, ImageView<const float> corner_rays,
+                               int samples) const {
+  PrepareLight();
+  const int width = corner_rays.width() - 1;
+  const int height = corner_rays.height() - 1;
+  const int side = std::clamp(static_cast<int>(std::sqrt(static_cast<double>(samples))), 1, 8);
+  RenderedView view{Image<float>(width, height, 3), Image<float>(width, height, 1)};
+  const Eigen::Matrix3d rotation = world_from_camera.rotation.toRotationMatrix();
+  const Vec3 axis_x = ToVec3(rotation.col(0));
+  const Vec3 axis_y = ToVec3(rotation.col(1));
+  const Vec3 axis_z = ToVec3(rotation.col(2));
+  const Vec3 origin = ToVec3(world_from_camera.translation);
+  const float inverse_samples = 1.0F / static_cast<float>(side * side);
+  const Impl& impl = *impl_;
+  const auto corner = [&](int x, int y) {
+    const float* p = corner_rays.pixel(x, y);
+    return Vec3{p[0], p[1], p[2]};
+  };
+  const auto seen = [&](int x, int y) {
+    const Vec3 sum = corner(x, y) + corner(x + 1, y) + corner(x, y + 1) + corner(x + 1, y + 1);
+    return std::isfinite(sum.x + sum.y + sum.z);
+  };
+  // Unit ray, in the world, through a point (u, v) of a pixel.
+  const auto towards = [&](int x, int y, float u, float v) {
+    const Vec3 d = Lerp(Lerp(corner(x, y), corner(x + 1, y), u),
+                        Lerp(corner(x, y + 1), corner(x + 1, y + 1), u), v);
+    return Normalised(axis_x * d.x + axis_y * d.y + axis_z * d.z);
+  };
+
+  ParallelFor(height, 16, [&](int begin, int end) {
+    const int first_row = std::max(0, begin - 1);
+    const int last_row = std::min(height, end + 1);
+    std::vector<Hit> hits(static_cast<std::size_t>(last_row - first_row) *
+                          static_cast<std::size_t>(width));
+    const auto hit_at = [&](int x, int y) -> Hit& {
+      return hits[static_cast<std::size_t>(y - first_row) * static_cast<std::size_t>(width) +
+                  static_cast<std::size_t>(x)];
+    };
+    for (int y = first_row; y < last_row; ++y) {
+      for (int x = 0; x < width; ++x) {
+        if (seen(x, y)) {
+          hit_at(x, y) = impl.geometry.Intersect(origin, towards(x, y, 0.5F, 0.5F));
+        }
+      }
+    }
+    for (int y = begin; y < end; ++y) {
+      float* radiance = view.radiance.row(y);
+      float* distance = view.distance.row(y);
+      for (int x = 0; x < width; ++x) {
+        if (!seen(x, y)) {
+          distance[x] = std::numeric_limits<float>::quiet_NaN();
+          continue;
+        }
+        const Hit& centre = hit_at(x, y);
+        distance[x] = centre.valid() ? centre.t : std::numeric_limits<float>::infinity();
+        const auto same_surface = [&](int other_x, int other_y) {
+          const Hit& other = hit_at(other_x, other_y);
+          return other.primitive == centre.primitive && other.face == centre.face;
+        };
+        // Where the neighbours see the same face nothing lies between: their rays need no search.
+        const bool inside = x > 0 && x + 1 < width && y > first_row && y + 1 < last_row &&
+                            same_surface(x - 1, y) && same_surface(x + 1, y) &&
+                            same_surface(x, y - 1) && same_surface(x, y + 1);
+        // Angle a sample stands for: the geometric mean of the pixel's sides.
+        const Vec3 middle = towards(x, y, 0.5F, 0.5F);
+        const float pixel = std::sqrt(Length(Cross(towards(x, y, 1.0F, 0.5F) - middle,
+                                                   towards(x, y, 0.5F, 1.0F) - middle)) *
+                                      4.0F) /
+                            static_cast<float>(side);
+        Vec3 sum;
+        for (int sy = 0; sy < side; ++sy) {
+          for (int sx = 0; sx < side; ++sx) {
+            const Vec3 direction =
+                towards(x, y, (static_cast<float>(sx) + 0.5F) / static_cast<float>(side),
+                        (static_cast<float>(sy) + 0.5F) / static_cast<float>(side));
+            Hit hit;
+            if (!inside) {
+              hit = impl.geometry.Intersect(origin, direction);
+            } else if (centre.valid()) {
+              hit = impl.geometry.IntersectOnly(centre.primitive, origin, direction);
+              if (!hit.valid()) hit = impl.geometry.Intersect(origin, direction);
+            }
+            sum += impl.Trace(direction, pixel, hit);
+          }
+        }
+        sum = sum * inverse_samples;
+        radiance[3 * x] = sum.x;
+        radiance[3 * x + 1] = sum.y;
+        radiance[3 * x + 2] = sum.z;
+      }
+    }
+  });
+  return view;
+}
+
 Pose World::PoseAt(double distance_m, const MotionOptions& motion) const {
   const Path::Point at = impl_->scene.path.At(distance_m);
   const auto& phase = impl_->sway_phase;

@@ -56,6 +56,11 @@ class World {
   // is that of the centre ray. Uses the worker pool.
   RenderedView Render(const Pose& world_from_camera, const Projection& projection,
                       int samples = 4) const;
+  // The same for any picture: `corner_rays` (W+1)×(H+1)×3 are the rays, of any length and in the
+  // camera's frame, through the corners of its pixels. A pixel with a corner that is not finite
+  // sees nothing: radiance 0, distance NaN.
+  RenderedView RenderRays(const Pose& world_from_camera, ImageView<const float> corner_rays,
+                          int samples = 4) const;
   // world_from_camera at a distance (metres, any real number) along the path: 1.5 to 2 m above the
   // ground, at least 0.4 m away from everything.
   Pose PoseAt(double distance_m, const MotionOptions& motion = {}) const;

@@ -26,8 +26,10 @@ std::shared_ptr<const sim::World> SharedWorld() {
   return world;
 }
 
-Rig MakeSimRig() {
+Rig MakeSimRig(Layout layout) {
   sim::SimCameraOptions options;
+  options.simulation.layout = layout;
+  options.simulation.sensor_width = 64;
   options.simulation.scene = sim::SceneKind::kTunnel;
   options.simulation.width = kWidth;
   options.simulation.samples = 1;
@@ -48,9 +50,10 @@ Rig MakeSimRig() {
 class RecordedSession {
  public:
   static constexpr int kFrames = 120;
-  static const RecordedSession& Get() {
-    static const RecordedSession session;
-    return session;
+  static const RecordedSession& Get(Layout layout) {
+    static const RecordedSession panoramas(Layout::kPanorama);
+    static const RecordedSession stacks(Layout::kRig);
+    return layout == Layout::kRig ? stacks : panoramas;
   }
   const std::filesystem::path& path() const { return path_; }
   ~RecordedSession() {
@@ -61,10 +64,12 @@ class RecordedSession {
   RecordedSession& operator=(const RecordedSession&) = delete;
 
  private:
-  RecordedSession()
+  explicit RecordedSession(Layout layout)
       : path_(std::filesystem::temp_directory_path() /
-              ("omnihdr-compliance-" + std::to_string(getpid()))) {
+              fmt::format("omnihdr-compliance-{}-{}", ToString(layout), getpid())) {
     sim::SimulateOptions options;
+    options.simulation.layout = layout;
+    options.simulation.sensor_width = 64;
     options.simulation.scene = sim::SceneKind::kTunnel;
     options.simulation.width = kWidth;
     options.simulation.samples = 1;
@@ -76,9 +81,9 @@ class RecordedSession {
   std::filesystem::path path_;
 };
 
-Rig MakeReplayRig() {
+Rig MakeReplayRig(Layout layout) {
   ReplayOptions options;
-  options.session = RecordedSession::Get().path();
+  options.session = RecordedSession::Get(layout).path();
   options.interval_s = 0.0;
   auto camera = std::make_unique<ReplayCamera>(options);
   const ReplayCamera* raw = camera.get();
@@ -219,6 +224,11 @@ TEST_P(CameraCompliance, FramesHaveTheSizeAndDepthThatOpenTold) {
   ASSERT_TRUE(TriggerWhenReady(NextRequest(rig_.ladder.back())));
   const Result<CameraFrame> frame = camera_->Receive(rig_.frame_timeout);
   ASSERT_TRUE(frame) << frame.error().message;
+  if (info->description.layout == Layout::kRig) {
+    // Without its calibration a rig's session cannot be used.
+    ASSERT_FALSE(info->files.empty());
+    EXPECT_EQ(info->files.front().name, "rig.toml");
+  }
   EXPECT_EQ(frame->pixels.index(), info->description.bits > 8 ? 1U : 0U);
   std::visit(
       [&](const auto& image) {
@@ -343,7 +353,12 @@ TEST_P(CameraCompliance, AnUnpluggedCameraSaysSoAndWorksAgainAfterReopening) {
 
 }  // namespace
 
-std::vector<RigFactory> AllRigs() { return {{"sim", MakeSimRig}, {"replay", MakeReplayRig}}; }
+std::vector<RigFactory> AllRigs() {
+  return {{"sim", [] { return MakeSimRig(Layout::kPanorama); }},
+          {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
+          {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
+          {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }}};
+}
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {
   std::vector<std::string> covered;

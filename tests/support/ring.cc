@@ -47,6 +47,17 @@ Rig MakeRing(const RingOptions& options) {
 
 DecodedImage ShootRing(const Rig& rig, const RadianceAt& scene, double distance, double seconds,
                        int bits, double noise_rms, std::uint64_t seed) {
+  const auto along = [&](const Eigen::Vector3d& from, const Eigen::Vector3d& ray) {
+    // |from + t·ray| = distance.
+    const double b = ray.dot(from);
+    const double t = -b + std::sqrt(b * b - from.squaredNorm() + distance * distance);
+    return scene(from + t * ray);
+  };
+  return ShootRig(rig, along, seconds, bits, noise_rms, seed);
+}
+
+DecodedImage ShootRig(const Rig& rig, const RadianceAlong& scene, double seconds, int bits,
+                      double noise_rms, std::uint64_t seed) {
   const std::vector<int> rows = StackedRows(rig).value();
   const int width = rig.sensors.front().lens.width();
   const bool colour = rig.sensors.front().bayer == BayerOrder::kNone;
@@ -65,12 +76,7 @@ DecodedImage ShootRing(const Rig& rig, const RadianceAt& scene, double distance,
         Eigen::Vector3d radiance = Eigen::Vector3d::Zero();
         const Eigen::Vector2d pixel(x + 0.5, y + 0.5);
         if (const auto ray = sensor.lens.RayFromPixel(pixel.x(), pixel.y())) {
-          // |translation + t·ray| = distance.
-          const Eigen::Vector3d d = pose.rotation * *ray;
-          const double b = d.dot(pose.translation);
-          const double t =
-              -b + std::sqrt(b * b - pose.translation.squaredNorm() + distance * distance);
-          radiance = scene(pose.translation + t * d);
+          radiance = scene(pose.translation, pose.rotation * *ray);
         }
         const double v =
             sensor.vignetting.At((pixel - sensor.lens.centre()).norm() / half_diagonal);

@@ -215,7 +215,7 @@ TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
   for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});  // sensor 0
   Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
   const StitchTable table =
-      BuildStitchTable(rig, Projection::Equirectangular(256, 128), {}).value();
+      BuildStitchTable(rig, SphereGrid::Equirectangular(256, 128), {}).value();
   const Measurement m = StitchFrames(stitcher, {{&clipped, {Seconds(1.0)}}});
   int blends = 0;
   int alone = 0;
@@ -262,7 +262,7 @@ std::vector<Image<float>> SharesOf(const StitchTable& table, std::size_t sensors
 TEST(StitchTable, SharesSumToOneAndFadeOverTheBlendWidthWithoutAStep) {
   const Rig rig = MakeRing({.width = 256, .height = 192, .blend_width_deg = 8.0});
   const Projection projection = Projection::Equirectangular(720, 360);
-  const StitchTable table = BuildStitchTable(rig, projection, {}).value();
+  const StitchTable table = BuildStitchTable(rig, SphereGrid(projection), {}).value();
   const std::vector<Image<float>> shares = SharesOf(table, 6);
   double largest_step = 0.0;
   int mixed = 0;
@@ -292,7 +292,7 @@ TEST(StitchTable, SharesSumToOneAndFadeOverTheBlendWidthWithoutAStep) {
 TEST(StitchTable, TheSeamLiesMidwayAndANarrowOneTakesNoMoreThanItsWidth) {
   const Rig rig = MakeRing({.width = 256, .height = 192, .offset_m = 0.0, .blend_width_deg = 0.0});
   const StitchTable table =
-      BuildStitchTable(rig, Projection::Equirectangular(720, 360), {}).value();
+      BuildStitchTable(rig, SphereGrid::Equirectangular(720, 360), {}).value();
   const auto& row = table.rows[180];
   // Sensor 0 ahead, then to the right 1, 2, …: the seams are at ±36, ±108, 180 degrees.
   ASSERT_GE(row.size(), 6U);
@@ -314,9 +314,9 @@ TEST(StitchTable, AMaskOnASensorIsFadedOutOfAndOneOnThePanoramaCutsSharply) {
   }
   Image<std::uint8_t> panorama(360, 180, 1, 255);
   for (int y = 100; y < 180; ++y) std::fill_n(panorama.row(y) + 170, 20, std::uint8_t{0});
-  const StitchTable plain = BuildStitchTable(rig, projection, {}).value();
+  const StitchTable plain = BuildStitchTable(rig, SphereGrid(projection), {}).value();
   const StitchTable masked =
-      BuildStitchTable(rig, projection, {sensors.view(), panorama.view()}).value();
+      BuildStitchTable(rig, SphereGrid(projection), {sensors.view(), panorama.view()}).value();
   const std::vector<Image<float>> before = SharesOf(plain, 6);
   const std::vector<Image<float>> after = SharesOf(masked, 6);
   int lost = 0;
@@ -441,6 +441,29 @@ TEST(Stitch, SensorsOfFinishedColourWithExposuresAndResponsesOfTheirOwn) {
   EXPECT_NEAR(with_black.radiance.at(128, 64, 1),
               (128.0 * Smooth({kFar, 0, 0}).y() - 16.0) / (128.0 - 16.0), 0.01);
   EXPECT_NEAR(with_black.radiance.at(0, 64, 1), Smooth({-kFar, 0, 0}).y(), 0.01);
+}
+
+TEST(Stitch, AnRdMapIsStitchedStraightFromTheMosaic) {
+  const Rig rig = MakeRing();
+  const DecodedImage image = ShootRing(rig, Smooth, kFar, 1.0, 14);
+  const SphereGrid grid = SphereGrid::RhombicDodecahedron(64);
+  Stitcher stitcher = Stitcher::Create(rig, grid, {}).value();
+  const Measurement m = StitchFrames(stitcher, {{&image, {Seconds(1.0)}}}, 14);
+  ASSERT_EQ(m.radiance.width(), 256);
+  ASSERT_EQ(m.radiance.height(), 192);
+  int seen = 0;
+  for (int y = 0; y < 192; ++y) {
+    for (int x = 0; x < 256; ++x) {
+      if ((m.flags.at(x, y) & kMasked) != 0) continue;
+      ++seen;
+      const Eigen::Vector3d truth = Smooth(grid.RayFromPixel(x + 0.5, y + 0.5).value() * kFar);
+      for (int c = 0; c < 3; ++c) EXPECT_NEAR(m.radiance.at(x, y, c) / truth[c], 1.0, 0.005);
+    }
+  }
+  // Pixels are nearly equal on the sphere: their share is that of the sphere seen, which the
+  // sensors see down to about 60 degrees below the horizon.
+  EXPECT_NEAR(seen / (256.0 * 192.0), 0.93, 0.04);
+  EXPECT_EQ(m.projection.width(), 0);
 }
 
 TEST(Stitch, TheSameBytesOnOneCoreAndOnTwo) {

@@ -506,18 +506,6 @@ TEST_F(BadInput, AMissingMaskIsRefused) {
   EXPECT_THAT(processor.error().message, HasSubstr("nowhere.png"));
 }
 
-TEST_F(BadInput, ARigsFramesAreRefusedWithAWord) {
-  SessionInfo info = InfoOf(Plan());
-  info.camera.layout = Layout::kRig;
-  info.camera.bayer = "RGGB";
-  testing::WriteText(path() / "session.json", FormatSessionInfo(info));
-  const auto processor = SessionProcessor::Open(path(), {}, testing::QuickOptions(), {});
-  ASSERT_FALSE(processor);
-  EXPECT_EQ(processor.error().kind, ErrorKind::kData);
-  EXPECT_THAT(processor.error().message, HasSubstr("rig"));
-  EXPECT_THAT(processor.error().message, HasSubstr("session.json"));
-}
-
 // While it lives, no file of this process can grow beyond `bytes`: writing stops half-way, as on a
 // full disk.
 class FileSizeLimit {

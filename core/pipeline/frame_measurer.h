@@ -1,0 +1,53 @@
+#pragma once
+
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/base/result.h"
+#include "core/image/image.h"
+#include "core/photometry/measure.h"
+#include "core/photometry/stitch.h"
+#include "core/session/session.h"
+
+namespace omnihdr {
+
+// What a session's frames measure, whatever their layout: panoramas and perspective pictures as
+// they are, a rig's stacked raw frames stitched to a lat-long panorama of the width natural to the
+// rig (at most 8192). Not thread-safe; uses the worker pool inside.
+class FrameMeasurer {
+ public:
+  // `session` holds rig.toml when the layout is "rig". `mask`: what of the frames not to use,
+  // white = use; empty = none. It has the frames' size (for a rig: stacked sensors, its blends
+  // fade towards it) or, for a rig, is a lat-long picture of any size twice as wide as high. Errors
+  // name the file and what was expected: no rig.toml, sensors that do not make up the frame's size,
+  // another Bayer order than session.json's, a mask of another size.
+  static Result<FrameMeasurer> Open(const std::filesystem::path& session, const SessionInfo& info,
+                                    ImageView<const std::uint8_t> mask = {},
+                                    const std::string& mask_name = "mask");
+
+  // Merges the frames of one place. Errors as Measure and Stitcher::Stitch.
+  Result<Measurement> Measure(std::span<const ExposedFrame> frames, const MeasureOptions& options);
+
+  // Of the measurements.
+  const Projection& projection() const { return projection_; }
+  // The frames' own mask: empty when there is none, or the layout is "rig".
+  ImageView<const std::uint8_t> frame_mask() const { return mask_.view(); }
+
+ private:
+  FrameMeasurer() = default;
+
+  Projection projection_;
+  int bits_ = 8;
+  std::vector<Response> responses_;  // one, or one a sensor
+  Image<std::uint8_t> mask_;         // without a rig
+  std::optional<Stitcher> stitcher_;
+};
+
+// A mask picture as W×H×1, white (of its first channel) = use. Errors name the file.
+Result<Image<std::uint8_t>> ReadMask(const std::filesystem::path& file);
+
+}  // namespace omnihdr

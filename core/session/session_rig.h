@@ -1,0 +1,16 @@
+#pragma once
+
+#include <filesystem>
+#include <vector>
+
+#include "core/base/result.h"
+#include "core/session/session.h"
+
+namespace omnihdr {
+
+// The calibration that lies in a directory (a session's, or a rig file's): rig.toml and the masks
+// it names, to be stored with another session. Errors: rig.toml missing or wrong, a mask that is
+// missing or lies outside the directory.
+Result<std::vector<SessionFile>> ReadRigFiles(const std::filesystem::path& directory);
+
+}  // namespace omnihdr
