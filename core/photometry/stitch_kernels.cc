@@ -222,9 +222,15 @@ class Finisher {
                                   FlagBits(planes.most[3], low, high, kSaturatedB, kDarkB)));
     const VF usable =
         hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(bits, hn::Zero(du))), hn::Set(d, 1.0F));
-    hn::StoreInterleaved4(radiance(planes.value[0], scale_.scale[0]),
-                          radiance(green, scale_.scale[1]),
-                          radiance(planes.value[3], scale_.scale[2]), usable, d, rgba);
+    const VF r = radiance(planes.value[0], scale_.scale[0]);
+    const VF g = radiance(green, scale_.scale[1]);
+    const VF b = radiance(planes.value[3], scale_.scale[2]);
+    // Clipped altogether: neutral, at the bound that holds for all channels, in spite of the gains.
+    const VU saturated = hn::Set(du, std::uint32_t{kSaturatedAny});
+    const auto white = hn::RebindMask(d, hn::Eq(hn::And(bits, saturated), saturated));
+    const VF bound = hn::Min(r, hn::Min(g, b));
+    hn::StoreInterleaved4(hn::IfThenElse(white, bound, r), hn::IfThenElse(white, bound, g),
+                          hn::IfThenElse(white, bound, b), usable, d, rgba);
     hn::StoreU(hn::DemoteTo(d8, hn::BitCast(di, bits)), d8, flags);
   }
 
@@ -309,6 +315,11 @@ HWY_EXPORT(StitchBytesRow);
 constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
 constexpr std::array<std::uint8_t, 3> kDarkBit = {kDarkR, kDarkG, kDarkB};
 
+void NeutralWhere(std::uint8_t bits, float* rgb) {
+  if ((bits & kSaturatedAny) != kSaturatedAny) return;
+  std::fill_n(rgb, 3, std::min({rgb[0], rgb[1], rgb[2]}));
+}
+
 }  // namespace
 
 void StitchMosaic(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
@@ -351,6 +362,7 @@ void StitchColour(const float* radiance, const std::uint8_t* state, std::ptrdiff
       if (most == kMosaicSaturated) bits = static_cast<std::uint8_t>(bits | kSaturatedBit[c]);
       if (most == kMosaicDark) bits = static_cast<std::uint8_t>(bits | kDarkBit[c]);
     }
+    NeutralWhere(bits, out);
     out[3] = bits == 0 ? 1.0F : 0.0F;
     flags[x] = bits;
   }
@@ -405,6 +417,7 @@ void BlendSamples(const float* rgba, const std::uint8_t* flags, const std::uint3
         bits = static_cast<std::uint8_t>(bits | kSaturatedBit[c]);
       }
     }
+    NeutralWhere(bits, out);
     out[3] = bits == 0 ? 1.0F : 0.0F;
     out_flags[x] = bits;
   }

@@ -20,6 +20,9 @@ struct StitchScale {
   std::array<float, 3> scale{};
 };
 
+// A pixel saturated in all channels is written neutral, at the least of their bounds, which holds
+// for all of them: gains would make it pink.
+
 // Writes R, G, B, usable (Measurement) and flags (PixelFlag) of every sample. All run on the best
 // vector unit there is; the result does not depend on how a row is cut into calls.
 

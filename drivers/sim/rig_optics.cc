@@ -24,9 +24,10 @@ LensGrid ScaledGrid(const LensGrid& grid, double scale) {
 Result<Lens> ScaledLens(const Lens& lens, double scale) {
   const int width = static_cast<int>(std::lround(lens.width() * scale / 2.0)) * 2;
   const int height = static_cast<int>(std::lround(lens.height() * scale / 2.0)) * 2;
-  if (width < 64 || height < 64) {
-    return Fail(ErrorKind::kConfig, "sensor_width: {} columns leave {}x{}, expected at least 64x64",
-                width, width, height);
+  constexpr int kLeast = 32;
+  if (width < kLeast || height < kLeast) {
+    return Fail(ErrorKind::kConfig, "sensor_width: {}: a sensor of {}x{}, expected at least {}x{}",
+                width, width, height, kLeast, kLeast);
   }
   const Eigen::Vector2d focal = lens.focal() * scale;
   const Eigen::Vector2d centre = lens.centre() * scale;

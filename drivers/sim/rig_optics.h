@@ -17,7 +17,7 @@ Result<Rig> NominalRig();
 // A unit of a kind of head as it leaves the factory with its calibration: `nominal` with sensors of
 // `width` columns (0 = as they are; smaller pictures of the same field of view), and, where it
 // tells no gains and no vignetting, such of each sensor's own, drawn from `seed`. Errors: a size
-// that leaves the sensors no even sides of at least 64 pixels.
+// that leaves the sensors no even sides of at least 32 pixels.
 Result<Rig> SimulatedUnit(const Rig& nominal, int width, std::uint64_t seed);
 
 // Lenses, vignetting and colour filters of a rig in the rendered world.

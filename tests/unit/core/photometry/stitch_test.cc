@@ -207,6 +207,26 @@ TEST(Stitch, AClippedMosaicValueFlagsItsColourInThePixelsMadeFromItAndNothingEls
   }
 }
 
+TEST(Stitch, WhatIsClippedAltogetherIsNeutralAtABoundThatHoldsWhateverTheGains) {
+  const testing::RadianceAt bright = [](const Eigen::Vector3d&) {
+    return Eigen::Vector3d(9.0, 8.0, 7.0);
+  };
+  for (const BayerOrder order : {BayerOrder::kBggr, BayerOrder::kNone}) {
+    const Rig rig = MakeRing({.bayer = order});
+    const Measurement m = StitchOne(rig, ShootRing(rig, bright, kFar, 1.0), 1.0);
+    for (int y = 0; y < 128; ++y) {
+      for (int x = 0; x < 256; ++x) {
+        if (m.flags.at(x, y) == kMasked) continue;
+        ASSERT_EQ(m.flags.at(x, y), kSaturatedAny);
+        EXPECT_EQ(m.radiance.at(x, y, 0), m.radiance.at(x, y, 1));
+        EXPECT_EQ(m.radiance.at(x, y, 2), m.radiance.at(x, y, 1));
+        EXPECT_GT(m.radiance.at(x, y, 1), 1.5F);
+        EXPECT_LT(m.radiance.at(x, y, 1), 7.0F);
+      }
+    }
+  }
+}
+
 TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
   const Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
   const DecodedImage image = ShootRing(rig, Grey, kFar, 1.0);  // 90

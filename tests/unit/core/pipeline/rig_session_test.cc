@@ -30,6 +30,7 @@ using testing::TemporaryDirectory;
 // Balls in the room, and a drive through it.
 testing::Room Hall() {
   testing::Room room;
+  room.detail_m = 1.2;  // a mosaic of this size cannot show more
   room.balls.push_back({{2.5, 1.6, 0.0}, 0.6, 1.0F});
   return room;
 }
@@ -249,7 +250,7 @@ TEST_F(RigMeasurer, ASensorsOwnResponseIsUsed) {
   EXPECT_NEAR(m.radiance.at(0, width / 4, 1), 0.7, 0.02);
   rig_.sensors[0].response_json = R"({"model": "cubic"})";
   testing::WriteText(path() / "rig.toml", FormatRig(rig_));
-  EXPECT_THAT(Refusal(), HasSubstr("sensor0"));
+  EXPECT_THAT(Refusal(), HasSubstr("sensor[0].response"));
 }
 
 TEST_F(RigMeasurer, TheCalibrationTravelsWithItsMasks) {
