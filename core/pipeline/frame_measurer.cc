@@ -95,7 +95,8 @@ Result<Image<std::uint8_t>> ReadMask(const std::filesystem::path& file) {
 Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
                                           const SessionInfo& info,
                                           ImageView<const std::uint8_t> mask,
-                                          const std::string& mask_name) {
+                                          const std::string& mask_name,
+                                          const std::array<double, 3>& white_balance) {
   const CameraDescription& camera = info.camera;
   FrameMeasurer measurer;
   measurer.bits_ = camera.bits;
@@ -121,6 +122,9 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   const std::filesystem::path rig_file = session / "rig.toml";
   OMNIHDR_ASSIGN(Rig rig, ReadRig(rig_file));
   OMNIHDR_TRY(CheckRig(rig, rig_file, info, session / "session.json"));
+  for (RigSensor& sensor : rig.sensors) {
+    for (std::size_t c = 0; c < 3; ++c) sensor.gain[c] *= white_balance[c];
+  }
   const int width = NaturalPanoramaWidth(rig);
   measurer.projection_ = Projection::Equirectangular(width, width / 2);
   if (std::any_of(rig.sensors.begin(), rig.sensors.end(),

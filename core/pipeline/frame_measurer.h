@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -24,10 +25,12 @@ class FrameMeasurer {
   // white = use; empty = none. It has the frames' size (for a rig: stacked sensors, its blends
   // fade towards it) or, for a rig, is a lat-long picture of any size twice as wide as high. Errors
   // name the file and what was expected: no rig.toml, sensors that do not make up the frame's size,
-  // another Bayer order than session.json's, a mask of another size.
+  // another Bayer order than session.json's, a mask of another size. `white_balance`: gains on R,
+  // G, B of a rig's sensors beside their own; pictures get theirs from MeasureOptions.
   static Result<FrameMeasurer> Open(const std::filesystem::path& session, const SessionInfo& info,
                                     ImageView<const std::uint8_t> mask = {},
-                                    const std::string& mask_name = "mask");
+                                    const std::string& mask_name = "mask",
+                                    const std::array<double, 3>& white_balance = {1.0, 1.0, 1.0});
 
   // Merges the frames of one place. Errors as Measure and Stitcher::Stitch.
   Result<Measurement> Measure(std::span<const ExposedFrame> frames, const MeasureOptions& options);

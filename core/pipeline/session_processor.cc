@@ -65,6 +65,13 @@ class SessionProcessorImpl final : public SessionProcessor {
                   "{}: camera.layout: \"perspective\" can only be processed in mode temporal",
                   (session_ / "session.json").string());
     }
+    if (camera.layout == Layout::kRig && options_.weights == MergeWeights::kHat) {
+      return Fail(
+          ErrorKind::kConfig,
+          "photometry.weights: \"hat\", expected \"inverse-variance\" for the raw frames of "
+          "a rig ({})",
+          (session_ / "session.json").string());
+    }
     is_temporal_ = options_.mode == ProcessMode::kTemporal ||
                    (options_.mode == ProcessMode::kAuto && camera.layout == Layout::kPerspective);
     Image<std::uint8_t> mask;
@@ -72,7 +79,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       OMNIHDR_ASSIGN(mask, ReadMask(options_.mask_file));
     }
     OMNIHDR_ASSIGN(FrameMeasurer measurer,
-                   FrameMeasurer::Open(session_, info_, mask.view(), options_.mask_file));
+                   FrameMeasurer::Open(session_, info_, mask.view(), options_.mask_file,
+                                       options_.white_balance));
     measurer_.emplace(std::move(measurer));
     std::error_code error;
     std::filesystem::create_directories(views_, error);

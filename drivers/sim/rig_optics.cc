@@ -1,5 +1,6 @@
 #include "drivers/sim/rig_optics.h"
 
+#include <nominal_rig.h>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -8,7 +9,6 @@
 #include "core/photometry/mosaic.h"
 #include "core/session/rig_file.h"
 #include "drivers/sim/geometry.h"
-#include "drivers/sim/nominal_rig.h"
 
 namespace omnihdr::sim {
 namespace {
