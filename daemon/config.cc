@@ -79,6 +79,13 @@ class Loader {
       const bool section = IsSection(entry.key);
       if (!entry.value) {
         if (section) continue;
+        // [[camera]], a list of what there is one of.
+        if (const std::string listed = entry.key.substr(0, entry.key.find('['));
+            listed != entry.key && IsSection(listed)) {
+          unknown_section = listed + "[";
+          Problem(source, listed, fmt::format("a list [[{0}]], expected a section [{0}]", listed));
+          continue;
+        }
         unknown_section = entry.key + ".";
         Problem(source, entry.key,
                 key != nullptr ? fmt::format("a section, expected {}", key->expected)

@@ -11,13 +11,13 @@
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
 #include "core/photometry/measure.h"
+#include "core/pipeline/frame_measurer.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
 #include "core/stereo/view_merge.h"
 #include "daemon/cli/command.h"
 #include "daemon/cli/exposure_table.h"
 #include "daemon/config.h"
-#include "daemon/evaluation/own_frame.h"
 
 namespace omnihdr {
 namespace {
@@ -155,9 +155,12 @@ Result<int> Report(const ReportArguments& arguments) {
   OMNIHDR_ASSIGN(SessionContents contents, ReadSession(arguments.session));
   Image<std::uint8_t> mask;
   if (!options.mask_file.empty()) {
-    FrameMaskOptions from;
-    from.file = options.mask_file;
-    OMNIHDR_ASSIGN(mask, LoadFrameMask(from, contents.info.camera));
+    OMNIHDR_ASSIGN(mask, ReadMask(options.mask_file));
+    const CameraDescription& camera = contents.info.camera;
+    if (mask.width() != camera.width || mask.height() != camera.height) {
+      return Fail(ErrorKind::kData, "{}: mask of {}x{}, expected the frames' size {}x{}",
+                  options.mask_file, mask.width(), mask.height(), camera.width, camera.height);
+    }
   }
   std::map<PositionId, std::vector<FrameRecord>> positions;
   std::size_t most = 0;

@@ -1,6 +1,5 @@
 #include "drivers/sim/rig_optics.h"
 
-#include <nominal_rig.h>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,6 +8,7 @@
 #include "core/photometry/mosaic.h"
 #include "core/session/rig_file.h"
 #include "drivers/sim/geometry.h"
+#include "drivers/sim/nominal_rig.h"
 
 namespace omnihdr::sim {
 namespace {
@@ -45,7 +45,7 @@ Result<Lens> ScaledLens(const Lens& lens, double scale) {
 
 }  // namespace
 
-Result<Rig> NominalRig() { return ParseRig(kNominalRig, "config/rigs/ladybug2.toml"); }
+Result<Rig> NominalRig() { return ParseRig(NominalRigText(), "config/rigs/ladybug2.toml"); }
 
 Result<Rig> SimulatedUnit(const Rig& nominal, int width, std::uint64_t seed) {
   Rig rig = nominal;

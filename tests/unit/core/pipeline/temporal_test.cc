@@ -95,7 +95,7 @@ TEST(TemporalMode, BracketsOfAPanoramaBecomeOneViewEach) {
   EXPECT_THAT(record->warnings, ::testing::IsEmpty());
   const ExrImage exr = RadianceOf(directory.path(), 1);
   EXPECT_EQ(exr.width, 128);
-  EXPECT_EQ(exr.strings.at("omnihdrOrigin"), kOriginMeaning);
+  EXPECT_EQ(exr.attributes.strings.at("omnihdrOrigin"), kOriginMeaning);
 }
 
 TEST(TemporalMode, AWrongExposureTimeIsCorrectedAndStandsInTheWarnings) {

@@ -9,7 +9,7 @@
 #include <limits>
 #include <numbers>
 
-#include "core/session/session_reader.h"
+#include "core/session/response_json.h"
 
 namespace omnihdr {
 namespace {
@@ -223,7 +223,7 @@ TEST(RigFile, EveryErrorNamesTheFileTheLineTheKeyAndWhatWasExpected) {
       {"mask = \"masks/0.png\"", "mask = \"../0.png\"",
        "rig.toml:19: sensor[0].mask: \"../0.png\", expected a picture's file below"},
       {"mask = \"masks/0.png\"", "mask = \"/0.png\"", "rig.toml:19: sensor[0].mask: \"/0.png\""},
-      {"\"black\": 4", "\"black\": 400", "rig.toml:20: sensor[0].response:1: response.black: 400"},
+      {"\"black\": 4", "\"black\": 400", "rig.toml:20: sensor[0].response:1: black: 400"},
       {"response = ", "responce = ", "rig.toml:20: sensor[0].responce: "},
       {"[[sensor]]\nname = \"up\"", "[sensor2]\nname = \"up\"", "rig.toml:22: sensor2: a section"},
   };

@@ -188,11 +188,12 @@ TEST_P(RigOrientation, AMirroredOrTurnedTwinFails) {
   EXPECT_LT(worst(twin, false), 0.9) << "inverse rotations";
 }
 
-INSTANTIATE_TEST_SUITE_P(
-    Rigs, RigOrientation, ::testing::Values("ladybug2.toml", "ladybug5plus.toml", "vuze.toml"),
-    [](const auto& tested) {
-      return std::string(tested.param).substr(0, std::string(tested.param).find('.'));
-    });
+INSTANTIATE_TEST_SUITE_P(Rigs, RigOrientation,
+                         ::testing::Values("ladybug2.toml", "ladybug5plus.toml", "vuze.toml"),
+                         [](const auto& rig) {
+                           return std::string(rig.param).substr(0,
+                                                                std::string(rig.param).find('.'));
+                         });
 
 }  // namespace
 }  // namespace omnihdr

@@ -160,8 +160,8 @@ TEST(Config, AnUnknownSectionIsReportedOnce) {
             "dir/test.toml:1: wheels: unknown section");
   EXPECT_EQ(OnlyProblem("log = 'info'\n"),
             "dir/test.toml:1: log: \"info\", expected a section [log]");
-  EXPECT_THAT(OnlyProblem("[[camera]]\ndriver = 'sim'\n"),
-              HasSubstr("dir/test.toml:1: camera: [a section], expected a section [camera]"));
+  EXPECT_EQ(OnlyProblem("[[camera]]\ndriver = 'sim'\n[[camera]]\n[camera.sim]\n"),
+            "dir/test.toml:1: camera: a list [[camera]], expected a section [camera]");
 }
 
 TEST(Config, OutOfRangeNamesKeyValueAndRange) {
