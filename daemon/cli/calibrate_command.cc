@@ -6,8 +6,16 @@
 namespace omnihdr {
 namespace {
 
-constexpr std::array<AddCommand, 4> kCalibrations = {AddCalibrateResponse, AddCalibrateWhiteBalance,
-                                                     AddCalibrateSensors, AddCalibrateVignetting};
+// One a line, so that a new one is one line of a change.
+// clang-format off
+constexpr std::array kCalibrations = {
+    AddCalibrateResponse,
+    AddCalibrateNoise,
+    AddCalibrateWhiteBalance,
+    AddCalibrateSensors,
+    AddCalibrateVignetting,
+};
+// clang-format on
 
 }  // namespace
 

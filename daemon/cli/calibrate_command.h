@@ -10,5 +10,6 @@ void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateWhiteBalance(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateSensors(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateVignetting(CLI::App& calibrate, CommandRun& run);
+void AddCalibrateNoise(CLI::App& calibrate, CommandRun& run);
 
 }  // namespace omnihdr

@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <memory>
@@ -16,6 +17,7 @@
 #include "core/session/response_json.h"
 #include "daemon/cli/calibrate_command.h"
 #include "daemon/cli/exposed_image.h"
+#include "daemon/evaluation/plot.h"
 
 namespace omnihdr {
 namespace {
@@ -28,6 +30,7 @@ struct ResponseArguments {
   std::string mask;
   std::string out;
   std::string apply;
+  std::string plot;
   int bits = 16;
   bool json = false;
 };
@@ -150,6 +153,42 @@ std::string ReportJson(const ResponseCalibration& calibration, const SessionSamp
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+// ln exposure and exposure against the pixel value, as the thesis draws them. The band is the
+// spread of one spot.
+std::vector<Plot> Plots(const ResponseCalibration& calibration, ResponseMethod method) {
+  constexpr std::array<const char*, 3> kNames = {"red", "green", "blue"};
+  constexpr std::array<std::array<std::uint8_t, 3>, 3> kColours = {
+      {{200, 40, 40}, {30, 140, 50}, {40, 70, 200}}};
+  Plot logarithmic;
+  logarithmic.title = fmt::format("inverse response, {}", ToString(method));
+  logarithmic.x_label = "pixel value Z";
+  logarithmic.y_label = "ln exposure, 0 at Z = 128";
+  Plot linear = logarithmic;
+  linear.y_label = "exposure, 1 at Z = 128";
+  for (std::size_t c = 0; c < 3; ++c) {
+    const ResponseCurve& curve = calibration.curves[c];
+    PlotSeries ln;
+    ln.name = kNames[c];
+    ln.colour = kColours[c];
+    PlotSeries plain = ln;
+    for (int z = curve.measured_low; z <= curve.measured_high; ++z) {
+      const auto k = static_cast<std::size_t>(z);
+      const double g = curve.ln_exposure[k];
+      ln.x.push_back(z);
+      ln.y.push_back(g);
+      ln.low.push_back(g - curve.spread[k]);
+      ln.high.push_back(g + curve.spread[k]);
+      plain.y.push_back(std::exp(g));
+      plain.low.push_back(std::exp(g - curve.spread[k]));
+      plain.high.push_back(std::exp(g + curve.spread[k]));
+    }
+    plain.x = ln.x;
+    logarithmic.series.push_back(std::move(ln));
+    linear.series.push_back(std::move(plain));
+  }
+  return {logarithmic, linear};
+}
+
 // Puts the response into a session; nothing else of it changes.
 Status Apply(const std::filesystem::path& session, const Response& response) {
   const std::filesystem::path path = session / "session.json";
@@ -172,6 +211,7 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
   if (!arguments.out.empty()) {
     OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatResponse(calibration.response) + "\n"));
   }
+  if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, Plots(calibration, *method)));
   if (!arguments.apply.empty()) OMNIHDR_TRY(Apply(arguments.apply, calibration.response));
   fmt::print("{}", arguments.json ? ReportJson(calibration, source, *method)
                                   : Report(calibration, source, *method));
@@ -200,6 +240,7 @@ void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run) {
   command->add_option("--out", arguments->out,
                       "file for the response, a JSON object as in session.json");
   command->add_option("--apply", arguments->apply, "session directory that gets the response");
+  command->add_option("--plot", arguments->plot, "picture of the curves, .png or .svg");
   command->add_flag("--json", arguments->json, "print the report, curves included, as JSON");
   command->callback([arguments, &run] { run = [arguments] { return Calibrate(*arguments); }; });
 }
