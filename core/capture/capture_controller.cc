@@ -182,6 +182,12 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) const {
     record.temperature_c = frame.temperature_c;
     record.settings_readback_json = std::move(frame.settings_readback_json);
     record.truth_json = std::move(frame.truth_json);
+    if (frame.recorded) {
+      record.utc = frame.recorded->utc;
+      record.gnss = std::move(frame.recorded->gnss);
+      record.heading_deg = frame.recorded->heading_deg;
+      record.pose = frame.recorded->pose;
+    }
     if (record.status == FrameStatus::kOk) {
       std::visit([&](auto& image) { line.pixels = std::move(image); }, frame.pixels);
     }

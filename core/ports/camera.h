@@ -43,6 +43,15 @@ struct ExposureRequest {
   std::optional<double> odometer_m;
 };
 
+// What a recording says about the moment of a frame: it is told on when the frame is replayed, for
+// the replaying host's own clock and place say nothing about it.
+struct RecordedMoment {
+  std::optional<UtcTime> utc;
+  std::optional<GnssFix> gnss;
+  std::optional<double> heading_deg;
+  std::optional<Pose> pose;
+};
+
 // A frame as it comes from the camera. Buffers circulate with a status: a damaged or late frame is
 // delivered and marked, never silently left out.
 struct CameraFrame {
@@ -57,7 +66,8 @@ struct CameraFrame {
   std::optional<CameraTime> camera_time;
   std::optional<double> temperature_c;
   std::string settings_readback_json;
-  std::string truth_json;  // simulator only
+  std::string truth_json;                  // simulator only
+  std::optional<RecordedMoment> recorded;  // replay only
   // Values as the session's camera description says: panorama RGB, or a Bayer stack.
   std::variant<Image<std::uint8_t>, Image<std::uint16_t>> pixels;
 };

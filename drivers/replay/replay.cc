@@ -145,6 +145,7 @@ CameraFrame ReplayCamera::Load(std::uint64_t line, const ExposureRequest& reques
   frame.temperature_c = record.temperature_c;
   frame.settings_readback_json = record.settings_readback_json;
   frame.truth_json = record.truth_json;
+  frame.recorded = {record.utc, record.gnss, record.heading_deg, record.pose};
   if (record.file.empty()) {
     if (frame.status == FrameStatus::kOk) {
       frame.status = FrameStatus::kCorrupt;

@@ -77,6 +77,9 @@ TEST_F(Replay, PixelsExposureOdometerAndTruthComeBackExactly) {
     EXPECT_EQ(frame->measured_exposure, line.exposure);
     EXPECT_EQ(frame->proof, ExposureProof::kFile);
     EXPECT_EQ(frame->truth_json, line.truth_json);
+    ASSERT_TRUE(frame->recorded);
+    EXPECT_EQ(frame->recorded->utc, line.utc);
+    EXPECT_EQ(frame->recorded->heading_deg, line.heading_deg);
     const Result<DecodedImage> picture = ReadImage(options_.session / line.file);
     ASSERT_TRUE(picture);
     const auto& a = std::get<0>(picture->pixels);

@@ -81,6 +81,30 @@ TEST(CaptureController, ATriggerBecomesALineWithPixelsAndTimes) {
   EXPECT_EQ(std::get<Image<std::uint8_t>>(bench.sink.lines[0].pixels).width(), 8);
 }
 
+TEST(CaptureController, AReplayedFrameKeepsTheTimeAndPlaceItWasRecordedWith) {
+  Bench bench;
+  bench.Trigger();
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  RecordedMoment moment;
+  moment.utc = UtcTime::FromNanoseconds(123'456'789);
+  moment.gnss.emplace().lat_deg = 45.4;
+  moment.heading_deg = 90.0;
+  moment.pose = Pose{};
+  frame.recorded = moment;
+  bench.controller.OnFrame(std::move(frame));
+  // A recording that does not know its date does not get this host's.
+  frame = FrameFor(bench.commanded[1], 1);
+  frame.recorded = RecordedMoment{};
+  bench.controller.OnFrame(std::move(frame));
+  ASSERT_EQ(bench.sink.lines.size(), 2U);
+  EXPECT_EQ(bench.record(0).utc->ns(), 123'456'789);
+  EXPECT_EQ(bench.record(0).gnss->lat_deg, 45.4);
+  EXPECT_EQ(bench.record(0).heading_deg, 90.0);
+  EXPECT_TRUE(bench.record(0).pose.has_value());
+  EXPECT_FALSE(bench.record(1).utc.has_value());
+}
+
 TEST(CaptureController, ABusyCameraIsAMissedTriggerAndTheBracketGoesOn) {
   Bench bench;
   bench.Trigger();
