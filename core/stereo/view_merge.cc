@@ -515,6 +515,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           view.disparity.at(x, y) = d.disparity;
           view.confidence.at(x, y) = d.confidence;
         }
+        // Where this view saw nothing, its disparity is a guess unless others agreed on it: better
+        // no data than other views' pixels strewn about.
+        const bool is_guess = (mine.flags & kMasked) != 0 && disparity != nullptr &&
+                              d.confidence < kTrustedConfidence;
         const bool by_rotation = disparity == nullptr;
         const float misregistration =
             options.misalignment_px +
@@ -523,6 +527,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const float cell_x = (static_cast<float>(x) + 0.5F) * cells_per_pixel_x;
         const float cell_y = (static_cast<float>(y) + 0.5F) * cells_per_pixel_y;
         for (const SourceLookup& source : sources) {
+          if (is_guess) break;
           float px = 0.0F;
           float py = 0.0F;
           const Sight sight =

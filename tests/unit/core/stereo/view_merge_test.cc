@@ -353,6 +353,20 @@ TEST(MergeViews, WhatIsMaskedHereIsSeenByTheNeighbours) {
   EXPECT_LT(errors[errors.size() / 2], std::log10(1.08));
 }
 
+TEST(MergeViews, WhatIsMaskedHereStaysEmptyWhereTheDistanceIsAGuess) {
+  Setting s = Expose(TheDrive(), std::vector<double>(5, 0.5));
+  for (int y = 40; y < 80; ++y) {
+    for (int x = 100; x < 140; ++x) s.measurements[kCentre].flags.at(x, y) = kMasked;
+  }
+  for (float& confidence : s.map.confidence.values()) confidence = 0.1F;
+  const MergedView view = s.Merge(kNeighbours);
+  ExpectSound(view);
+  for (int y = 42; y < 78; ++y) {
+    for (int x = 102; x < 138; ++x) EXPECT_EQ(OriginAt(view, x, y), PixelOrigin::kNoData);
+  }
+  EXPECT_EQ(OriginAt(view, 60, 60), PixelOrigin::kMeasured);
+}
+
 TEST(MergeViews, WithoutAMapViewsOfOnePlaceMergeByRotation) {
   std::vector<Pose> poses = testing::FivePlaces(0.0);
   for (std::size_t k = 0; k < poses.size(); ++k) {
