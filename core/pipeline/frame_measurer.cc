@@ -159,6 +159,7 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
       Stitcher::Create(std::move(rig), measurer.projection_, {stacked.view(), panorama.view()});
   if (!stitcher) return Forward(std::move(stitcher).error(), rig_file.string());
   measurer.stitcher_.emplace(std::move(*stitcher));
+  measurer.mask_ = std::move(stacked);
   return measurer;
 }
 

@@ -37,7 +37,7 @@ class FrameMeasurer {
 
   // Of the measurements.
   const Projection& projection() const { return projection_; }
-  // The frames' own mask: empty when there is none, or the layout is "rig".
+  // The frames' own mask, of a rig with its lens masks: empty when there is none.
   ImageView<const std::uint8_t> frame_mask() const { return mask_.view(); }
 
  private:
@@ -46,7 +46,7 @@ class FrameMeasurer {
   Projection projection_;
   int bits_ = 8;
   std::vector<Response> responses_;  // one, or one a sensor
-  Image<std::uint8_t> mask_;         // without a rig
+  Image<std::uint8_t> mask_;         // of the frames as recorded
   std::optional<Stitcher> stitcher_;
 };
 

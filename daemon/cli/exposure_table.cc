@@ -77,7 +77,7 @@ RadianceRange RangeOf(const Measurement& m) {
 
 Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
                                    const std::vector<std::string>& names,
-                                   const Projection& projection, const Response& response, int bits,
+                                   const MeasureFrames& measure, const Response& response, int bits,
                                    ImageView<const std::uint8_t> mask,
                                    const MeasureOptions& options, double refine_limit,
                                    bool with_ranges) {
@@ -101,13 +101,12 @@ Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
         ExposureTime::Seconds(frames[k].exposure.time.seconds() * refined[k].scale);
     line.count = CountExposure(*frames[k].image, bits, mask);
     if (with_ranges) {
-      OMNIHDR_ASSIGN(const Measurement one, Measure(std::span(frames).subspan(k, 1), projection,
-                                                    response, bits, mask, options));
+      OMNIHDR_ASSIGN(const Measurement one, measure(std::span(frames).subspan(k, 1)));
       line.range = RangeOf(one);
     }
     merged.summary.lines.push_back(std::move(line));
   }
-  OMNIHDR_ASSIGN(merged.measurement, Measure(frames, projection, response, bits, mask, options));
+  OMNIHDR_ASSIGN(merged.measurement, measure(frames));
   std::stable_sort(merged.summary.lines.begin(), merged.summary.lines.end(),
                    [](const ExposureLine& a, const ExposureLine& b) {
                      return a.exposure.EffectiveSeconds() < b.exposure.EffectiveSeconds();

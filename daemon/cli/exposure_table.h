@@ -1,5 +1,7 @@
 #pragma once
 
+#include <functional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -36,11 +38,14 @@ struct MergedBracket {
   ExposureSummary summary;         // shortest exposure first
   std::vector<std::string> notes;  // what the user should know about the labels
 };
+// How frames of one place become a measurement: Measure, or a FrameMeasurer's for a rig.
+using MeasureFrames = std::function<Result<Measurement>(std::span<const ExposedFrame>)>;
 // `refine_limit`: the largest correction, 0 = take the labels as they are. `names`: of the frames.
-// `with_ranges`: measure every exposure alone as well. Errors: as Measure.
+// `mask`: of the frames, for counting and refining. `with_ranges`: measure every exposure alone as
+// well. Errors: as `measure` and RefineExposures.
 Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
                                    const std::vector<std::string>& names,
-                                   const Projection& projection, const Response& response, int bits,
+                                   const MeasureFrames& measure, const Response& response, int bits,
                                    ImageView<const std::uint8_t> mask,
                                    const MeasureOptions& options, double refine_limit,
                                    bool with_ranges);

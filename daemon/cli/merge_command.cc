@@ -4,6 +4,7 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -88,12 +89,15 @@ Result<int> Merge(const MergeArguments& arguments) {
   for (const std::string& text : arguments.images) {
     names.push_back(std::filesystem::path(text.substr(0, text.rfind('@'))).filename().string());
   }
+  const Projection projection =
+      Projection::Equirectangular(images.front().width(), images.front().height());
+  const auto measure = [&](std::span<const ExposedFrame> some) {
+    return Measure(some, projection, response, arguments.bits, mask.view(), options);
+  };
   OMNIHDR_ASSIGN(
       MergedBracket merged,
-      MergeBracket(std::move(frames), names,
-                   Projection::Equirectangular(images.front().width(), images.front().height()),
-                   response, arguments.bits, mask.view(), options,
-                   arguments.no_refine ? 0.0 : arguments.refine_limit,
+      MergeBracket(std::move(frames), names, measure, response, arguments.bits, mask.view(),
+                   options, arguments.no_refine ? 0.0 : arguments.refine_limit,
                    arguments.report || arguments.json));
   for (const std::string& note : merged.notes) fmt::print(stderr, "{}\n", note);
   MergedView view = ViewOfMeasurement(merged.measurement);

@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <map>
 #include <memory>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -62,13 +63,13 @@ RadianceRange RangeOfView(const std::filesystem::path& views, PositionId positio
 class Reporter {
  public:
   Reporter(const ReportArguments& arguments, const PipelineOptions& options, SessionInfo info,
-           Image<std::uint8_t> mask)
+           FrameMeasurer measurer)
       : session_(arguments.session),
         views_(arguments.views.empty() ? session_ / "views"
                                        : std::filesystem::path(arguments.views)),
         options_(options),
         info_(std::move(info)),
-        mask_(std::move(mask)) {
+        measurer_(std::move(measurer)) {
     measure_.value_low = options.value_low;
     measure_.value_high = options.value_high;
     measure_.noise = options.noise;
@@ -90,8 +91,8 @@ class Reporter {
       frames.push_back({&images[k], records[k].exposure});
     }
     OMNIHDR_ASSIGN(MergedBracket merged,
-                   MergeBracket(std::move(frames), names, Grid(), info_.response, info_.camera.bits,
-                                mask_.view(), measure_,
+                   MergeBracket(std::move(frames), names, Measurer(), info_.response,
+                                info_.camera.bits, measurer_.frame_mask(), measure_,
                                 options_.refine_exposure ? options_.refine_limit : 0.0, true));
     merged.summary.title = fmt::format("position {}: {} exposures of {}x{}", Value(position),
                                        records.size(), info_.camera.width, info_.camera.height);
@@ -110,8 +111,8 @@ class Reporter {
       const std::vector<ExposedFrame> frames = {{&image, record.exposure}};
       const std::vector<std::string> names = {fmt::format("position {}", Value(record.position))};
       OMNIHDR_ASSIGN(MergedBracket one,
-                     MergeBracket(frames, names, Grid(), info_.response, info_.camera.bits,
-                                  mask_.view(), measure_, 0.0, false));
+                     MergeBracket(frames, names, Measurer(), info_.response, info_.camera.bits,
+                                  measurer_.frame_mask(), measure_, 0.0, false));
       ExposureLine& line = one.summary.lines.front();
       line.range = one.summary.merged;
       line.refined.verdict = ExposureVerdict::kNoOverlap;
@@ -122,10 +123,10 @@ class Reporter {
   }
 
  private:
-  Projection Grid() const {
-    return info_.camera.layout == Layout::kPanorama
-               ? info_.camera.PanoramaProjection()
-               : Projection::Equirectangular(info_.camera.width, info_.camera.height);
+  MeasureFrames Measurer() {
+    return [this](std::span<const ExposedFrame> frames) {
+      return measurer_.Measure(frames, measure_);
+    };
   }
   Result<DecodedImage> Load(const FrameRecord& record) const {
     const std::filesystem::path path = session_ / record.file;
@@ -141,7 +142,7 @@ class Reporter {
   const std::filesystem::path views_;
   const PipelineOptions options_;
   const SessionInfo info_;
-  const Image<std::uint8_t> mask_;
+  FrameMeasurer measurer_;
   MeasureOptions measure_;
 };
 
@@ -156,12 +157,10 @@ Result<int> Report(const ReportArguments& arguments) {
   Image<std::uint8_t> mask;
   if (!options.mask_file.empty()) {
     OMNIHDR_ASSIGN(mask, ReadMask(options.mask_file));
-    const CameraDescription& camera = contents.info.camera;
-    if (mask.width() != camera.width || mask.height() != camera.height) {
-      return Fail(ErrorKind::kData, "{}: mask of {}x{}, expected the frames' size {}x{}",
-                  options.mask_file, mask.width(), mask.height(), camera.width, camera.height);
-    }
   }
+  OMNIHDR_ASSIGN(FrameMeasurer measurer,
+                 FrameMeasurer::Open(arguments.session, contents.info, mask.view(),
+                                     options.mask_file, options.white_balance));
   std::map<PositionId, std::vector<FrameRecord>> positions;
   std::size_t most = 0;
   for (const FrameRecord& frame : contents.journal.frames) {
@@ -176,7 +175,7 @@ Result<int> Report(const ReportArguments& arguments) {
                       arguments.position)
                : Fail(ErrorKind::kData, "{}: no usable frame", arguments.session);
   }
-  Reporter reporter(arguments, options, contents.info, std::move(mask));
+  Reporter reporter(arguments, options, contents.info, std::move(measurer));
   std::vector<ExposureSummary> summaries;
   if (most == 1) {
     std::vector<FrameRecord> frames;
@@ -211,7 +210,8 @@ void AddReportCommand(CLI::App& app, CommandRun& run) {
   auto arguments = std::make_shared<ReportArguments>();
   command->add_option("session", arguments->session, "session directory")->required();
   command->add_option("--views", arguments->views, "its views (default: SESSION/views)");
-  command->add_option("--mask", arguments->mask, "picture of a frame's size, white = use");
+  command->add_option("--mask", arguments->mask,
+                      "picture of a frame's size (of a rig also lat-long), white = use");
   command->add_option("--config", arguments->config, "take photometry options from this file");
   command->add_option("--position", arguments->position, "this position alone")
       ->check(CLI::NonNegativeNumber);

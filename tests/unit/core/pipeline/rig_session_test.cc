@@ -13,6 +13,7 @@
 #include "core/session/session_reader.h"
 #include "core/session/session_rig.h"
 #include "core/session/view_writer.h"
+#include "tests/support/rig_session.h"
 #include "tests/support/ring.h"
 #include "tests/unit/core/pipeline/processing.h"
 
@@ -33,57 +34,6 @@ testing::Room Hall() {
   room.detail_m = 1.2;  // a mosaic of this size cannot show more
   room.balls.push_back({{2.5, 1.6, 0.0}, 0.6, 1.0F});
   return room;
-}
-
-testing::RadianceAlong SeenFrom(const testing::Room& room, const Pose& world_from_camera) {
-  return [&room, world_from_camera](const Eigen::Vector3d& from, const Eigen::Vector3d& ray) {
-    return Eigen::Vector3d(
-        room.Look(world_from_camera.WorldFromCamera(from), world_from_camera.rotation * ray)
-            .radiance.cast<double>());
-  };
-}
-
-SessionInfo RigInfo(const Rig& rig) {
-  SessionInfo info;
-  info.created = "2026-01-01T00:00:00Z";
-  info.camera.model = "ring";
-  info.camera.layout = Layout::kRig;
-  info.camera.width = rig.sensors.front().lens.width();
-  info.camera.height = StackedRows(rig).value().back();
-  info.camera.bayer = ToString(rig.sensors.front().bayer);
-  info.files = {{"rig.toml", FormatRig(rig)}};
-  return info;
-}
-
-// `frames_per_position` exposures at every pose.
-void WriteRigSession(const fs::path& directory, const Rig& rig, const std::vector<Pose>& poses,
-                     const std::vector<double>& exposures_s, int frames_per_position) {
-  SessionInfo info = RigInfo(rig);
-  BracketDescription bracket;
-  for (const double s : exposures_s) bracket.exposures.push_back(ExposureTime::Seconds(s));
-  bracket.frames_per_position = frames_per_position;
-  info.bracket = bracket;
-  SessionWriter writer = SessionWriter::Create(directory, info).value();
-  const testing::Room room = Hall();
-  std::uint64_t number = 0;
-  for (std::size_t p = 0; p < poses.size(); ++p) {
-    for (int k = 0; k < frames_per_position; ++k) {
-      const double seconds = exposures_s[number % exposures_s.size()];
-      const DecodedImage image =
-          testing::ShootRig(rig, SeenFrom(room, poses[p]), seconds, 8, 0.5, number);
-      FrameRecord record;
-      record.frame = FrameId{number};
-      record.position = PositionId{static_cast<std::int64_t>(p)};
-      record.file = "raw/" + std::to_string(number) + ".png";
-      record.exposure = {ExposureTime::Seconds(seconds), GainDb{}};
-      record.trigger_time = HostTime::FromNanoseconds(static_cast<std::int64_t>(number) * 1000);
-      record.odometer_m = 0.2 * static_cast<double>(p);
-      record.pose = poses[p];
-      ASSERT_TRUE(writer.Append(
-          record, EncodePng(std::get<Image<std::uint8_t>>(image.pixels).view()).value()));
-      ++number;
-    }
-  }
 }
 
 // Share of a view's pixels off by more than 15 % in green, of those that have a value.
@@ -115,7 +65,7 @@ Quality Judge(const fs::path& view, const Pose& world_from_camera,
 TEST(RigSession, ABracketTakenStandingStillBecomesARadiancePanorama) {
   const TemporaryDirectory directory;
   const Rig rig = testing::MakeRing({.sphere_radius_m = 4.0});
-  WriteRigSession(directory.path(), rig, {Pose{}}, {0.1, 0.5, 2.5}, 3);
+  testing::WriteRigSession(directory.path(), rig, Hall(), {Pose{}}, {0.1, 0.5, 2.5}, 3);
   PipelineOptions options = testing::QuickOptions();
   options.mode = ProcessMode::kTemporal;
   const Processed done = ProcessAll(directory.path(), {}, options);
@@ -133,8 +83,8 @@ TEST(RigSession, ABracketTakenStandingStillBecomesARadiancePanorama) {
 TEST(RigSession, ADriveBecomesViewsAsFromPanoramas) {
   const TemporaryDirectory directory;
   const std::vector<Pose> poses = testing::GentleBend(4, 0.2);
-  WriteRigSession(directory.path(), testing::MakeRing({.sphere_radius_m = 4.0}), poses,
-                  {0.25, 0.5, 1.0}, 1);
+  testing::WriteRigSession(directory.path(), testing::MakeRing({.sphere_radius_m = 4.0}), Hall(),
+                           poses, {0.25, 0.5, 1.0}, 1);
   const Processed done = ProcessAll(directory.path());
   EXPECT_THAT(done.said.warnings, IsEmpty());
   EXPECT_THAT(done.said.Positions(), ElementsAre(0, 1, 2, 3));
@@ -164,7 +114,7 @@ class RigMeasurer : public ::testing::Test {
  protected:
   void SetUp() override {
     rig_ = testing::MakeRing();
-    info_ = RigInfo(rig_);
+    info_ = testing::RigInfo(rig_);
     WriteRig();
   }
   void WriteRig() { testing::WriteText(path() / "rig.toml", FormatRig(rig_)); }
