@@ -3,10 +3,14 @@
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <memory>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "core/base/file.h"
 #include "daemon/cli/command.h"
 #include "daemon/evaluation/evaluation.h"
+#include "daemon/evaluation/suite.h"
 
 namespace omnihdr {
 namespace {
@@ -18,11 +22,56 @@ struct EvaluateArguments {
   std::string mask;
   std::string out;
   double ignore_bottom_percent = 0.0;
+  std::string suite;
+  std::string only;
+  bool list = false;
   bool require_complete = false;
+  bool require_must = false;
   bool json = false;
 };
 
+// Simulated drives instead of a session.
+Result<int> EvaluateSuite(const EvaluateArguments& arguments) {
+  std::vector<SuiteCase> cases =
+      SuiteCases(arguments.suite == "quick" ? SuiteKind::kQuick : SuiteKind::kTargets);
+  std::erase_if(cases, [&](const SuiteCase& drive) {
+    return drive.name.find(arguments.only) == std::string::npos;
+  });
+  if (cases.empty()) {
+    return Fail(ErrorKind::kUsage, "--only: {}: no such case, see --suite {} --list",
+                arguments.only, arguments.suite);
+  }
+  if (arguments.list) {
+    for (const SuiteCase& drive : cases) fmt::print("{}\n", drive.name);
+    return 0;
+  }
+  if (arguments.out.empty()) {
+    return Fail(ErrorKind::kUsage, "--out: missing, expected a folder for the suite's files");
+  }
+  const std::filesystem::path folder = arguments.out;
+  std::vector<SuiteScore> scores;
+  for (const SuiteCase& drive : cases) {
+    fmt::print(stderr, "{} ({} of {})\n", drive.name, scores.size() + 1, cases.size());
+    OMNIHDR_ASSIGN(SuiteScore score,
+                   RunSuiteCase(drive, PipelineOptions{}, folder).Context(drive.name));
+    scores.push_back(std::move(score));
+    // After each: an hour's work is not lost with the last case.
+    OMNIHDR_TRY(WriteFileAtomic(folder / "report.md", FormatSuiteMarkdown(scores)));
+    OMNIHDR_TRY(WriteFileAtomic(folder / "report.json", FormatSuiteJson(scores)));
+  }
+  fmt::print("{}", arguments.json ? FormatSuiteJson(scores) : FormatSuiteTable(scores));
+  bool met = true;
+  for (const SuiteScore& score : scores) {
+    for (const SuiteCheck& check : score.checks) met = met && check.met();
+  }
+  return arguments.require_must && !met ? 1 : 0;
+}
+
 Result<int> Evaluate(const EvaluateArguments& arguments) {
+  if (!arguments.suite.empty()) return EvaluateSuite(arguments);
+  if (arguments.session.empty()) {
+    return Fail(ErrorKind::kUsage, "SESSION: missing, expected a session directory or --suite");
+  }
   EvaluationOptions options;
   options.views = arguments.views;
   options.photographs = arguments.reference;
@@ -50,7 +99,24 @@ void AddEvaluateCommand(CLI::App& app, CommandRun& run) {
                                      "Compare a session's views with what is known of the scene: "
                                      "the simulator's truth or photographs");
   auto arguments = std::make_shared<EvaluateArguments>();
-  command->add_option("SESSION", arguments->session, "Session directory")->required();
+  CLI::Option* session = command->add_option("SESSION", arguments->session, "Session directory");
+  CLI::Option* suite =
+      command
+          ->add_option(
+              "--suite", arguments->suite,
+              "Simulated drives instead of a session, processed and compared with the true "
+              "depth's merge, the own frames and no registration: quick (minutes) or "
+              "targets (an hour)")
+          ->check(CLI::IsMember({"quick", "targets"}))
+          ->excludes(session);
+  command->add_option("--only", arguments->only, "Of the suite the cases with this in their name")
+      ->needs(suite);
+  command->add_flag("--list", arguments->list, "Print the names of the suite's cases")
+      ->needs(suite);
+  command
+      ->add_flag("--require-must", arguments->require_must,
+                 "Exit with 1 when a target that must be reached is missed")
+      ->needs(suite);
   command->add_option("--views", arguments->views, "Folder of the views [SESSION/views]");
   command->add_option("--reference", arguments->reference,
                       "Folder of photographs with how.json [SESSION/reference, when there is one]");
@@ -63,7 +129,10 @@ void AddEvaluateCommand(CLI::App& app, CommandRun& run) {
   command->add_flag("--require-complete", arguments->require_complete,
                     "Exit with 1 unless every position has its view");
   command->add_flag("--json", arguments->json, "Print one JSON object instead of a table");
-  command->add_option("--out", arguments->out, "Write the JSON object to this file as well");
+  command->add_option(
+      "--out", arguments->out,
+      "Write the JSON object to this file as well; of a suite the new folder for its "
+      "sessions, views, pictures and report.md");
   command->callback([arguments, &run] { run = [arguments] { return Evaluate(*arguments); }; });
 }
 

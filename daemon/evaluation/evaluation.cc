@@ -12,6 +12,7 @@
 
 #include "core/base/file.h"
 #include "core/base/parallel_for.h"
+#include "core/photometry/exposure_report.h"
 #include "core/photometry/measure.h"
 #include "core/photometry/tonemap.h"
 #include "core/quality/picture_metrics.h"
@@ -212,6 +213,8 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
   });
   score.view = scores[0];
   score.own_frame = scores[1];
+  const double stops = RangeOfRadiance(truth.radiance, compared).Stops();
+  score.range_share = stops > 0.0 ? RangeOfRadiance(view.radiance, compared).Stops() / stops : 0.0;
 
   if (!truth.disparity.empty() && !view.disparity.empty() && baseline) {
     Image<float> metric(width, height, 1);
@@ -249,6 +252,7 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
     mean.view_psnr_mu += p.view->psnr_mu;
     mean.own_psnr_mu += p.own_frame->psnr_mu;
     mean.covered += p.covered;
+    mean.range_share += p.range_share;
     if (p.disparity && std::isfinite(p.disparity->bad1)) {
       ++with_disparity;
       bad1 += p.disparity->bad1;
@@ -261,7 +265,7 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
   if (mean.positions == 0) return std::nullopt;
   for (double* sum :
        {&mean.view_rmse, &mean.own_rmse, &mean.view_p95, &mean.own_p95, &mean.view_ssim,
-        &mean.own_ssim, &mean.view_psnr_mu, &mean.own_psnr_mu, &mean.covered}) {
+        &mean.own_ssim, &mean.view_psnr_mu, &mean.own_psnr_mu, &mean.covered, &mean.range_share}) {
     *sum /= mean.positions;
   }
   if (with_disparity > 0) mean.disparity_bad1 = bad1 / with_disparity;

@@ -46,6 +46,9 @@ struct PositionScore {
   // Share of the pixels known in the reference and seen by the own frame that the view has a value
   // for.
   double covered = 0.0;
+  // Stops from the 0.1st to the 99.9th percentile of luminance over those pixels: the view's over
+  // the reference's. 1 = the whole range of the scene inside the bracket's was recovered.
+  double range_share = 0.0;
   std::optional<DisparityErrors> disparity;
   std::optional<PoseErrors> pose;
 };
@@ -65,6 +68,7 @@ struct SessionScore {
     double view_psnr_mu = 0.0;
     double own_psnr_mu = 0.0;
     double covered = 0.0;
+    double range_share = 0.0;
     std::optional<double> disparity_bad1;
     std::optional<double> disparity_relative;
     std::optional<double> rotation_deg;         // largest, not mean
