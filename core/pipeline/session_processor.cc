@@ -14,6 +14,7 @@
 #include "core/image/image_io.h"
 #include "core/photometry/exposure_refine.h"
 #include "core/pipeline/frame_measurer.h"
+#include "core/pipeline/rig_masks.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
 #include "core/session/session_reader.h"
