@@ -347,6 +347,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     measure.noise = options_.noise;
     measure.weights = options_.weights;
     measure.white_balance = options_.white_balance;
+    measure.demosaic = options_.demosaic;
     std::vector<std::string> notes = RefineLabels(exposed, usable);
     Result<Measurement> measurement = measurer_->Measure(exposed, measure);
     if (!measurement) {
