@@ -151,8 +151,8 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
   OMNIHDR_ASSIGN(const StitchSource source, Prepare(frames, responses, bits, options, &noise));
   if (out->radiance.width() != table_.width || out->radiance.height() != table_.height ||
       out->radiance.channels() != 4) {
-    out->radiance = Image<float>(table_.width, table_.height, 4);
-    out->flags = Image<std::uint8_t>(table_.width, table_.height);
+    out->radiance = Image<float>::Uninitialized(table_.width, table_.height, 4);
+    out->flags = Image<std::uint8_t>::Uninitialized(table_.width, table_.height);
   }
   // In tiles: a row of the panorama runs down the columns of sensors that lie on their sides, and
   // its neighbours need the same lines of the cache.

@@ -292,10 +292,11 @@ HWY_INLINE void StitchAll(const std::uint8_t* bytes, std::ptrdiff_t stride, cons
           hn::Load(du, words[0] + (x - first)), hn::Load(du, words[1] + (x - first)),
           hn::Load(du, words[2] + (x - first)), hn::Load(du, words[3] + (x - first))};
       const VF shade = hn::LoadU(d, samples.shade + x);
-      if (x + lanes <= samples.count) {
-        write(x - first, word, packed, shade, rgba + 4 * x, flags + x);
-      } else {
-        write(x - first, word, packed, shade, tail_rgba, tail_flags);
+      const bool is_whole = x + lanes <= samples.count;
+      // One call, so that it is inlined.
+      write(x - first, word, packed, shade, is_whole ? rgba + 4 * x : tail_rgba,
+            is_whole ? flags + x : tail_flags);
+      if (!is_whole) {
         const auto rest = static_cast<std::size_t>(samples.count - x);
         std::memcpy(rgba + 4 * x, tail_rgba, 4 * rest * sizeof(float));
         std::memcpy(flags + x, tail_flags, rest);

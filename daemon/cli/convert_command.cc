@@ -150,7 +150,7 @@ Result<Converted> ConvertExr(const ConvertArguments& arguments) {
   OMNIHDR_ASSIGN(const SphereGrid target, TargetGrid(arguments, source, FileKind::kExr));
   std::map<std::string, Image<float>> out;
   for (const auto& [name, pixels] : image.channels) {
-    out.emplace(name, Image<float>(target.width(), target.height()));
+    out.emplace(name, Image<float>::Uninitialized(target.width(), target.height()));
   }
   InStripes(target, source, [&](const SphereRemap& remap) {
     for (const auto& [name, pixels] : image.channels) {
@@ -194,7 +194,7 @@ Result<Converted> ConvertPicture(const ConvertArguments& arguments, FileKind kin
   const bool is_latlong = target.kind() == SphereGridKind::kEquirectangular;
   const Result<std::vector<std::byte>> bytes = std::visit(
       [&]<typename T>(const Image<T>& pixels) {
-        Image<T> out(target.width(), target.height(), pixels.channels());
+        auto out = Image<T>::Uninitialized(target.width(), target.height(), pixels.channels());
         InStripes(target, source,
                   [&](const SphereRemap& remap) { remap.Apply(pixels, out.view()); });
         return Encode(ImageView<const T>(out), kind, is_latlong, arguments.quality);
