@@ -51,20 +51,22 @@ SphereGrid RdMap() { return SphereGrid::RhombicDodecahedron(418); }
 
 // --- ours
 
-void StitchOnce(Stitcher& stitcher, double read_noise, Measurement* out) {
+void StitchOnce(Stitcher& stitcher, double read_noise, Demosaic demosaic, Measurement* out) {
   MeasureOptions options;
   options.noise.read = read_noise;
+  options.demosaic = demosaic;
   const std::vector<RigFrame> frames = {{&RawFrame(), {{ExposureTime::Seconds(1.0), GainDb{}}}}};
   static const std::vector<Response> responses = {*Response::Linear()};
   if (!stitcher.Stitch(frames, responses, 8, options, out)) std::abort();
 }
 
-void Omnihdr(benchmark::State& state, const SphereGrid& grid, double read_noise) {
+void Omnihdr(benchmark::State& state, const SphereGrid& grid, double read_noise,
+             Demosaic demosaic) {
   Stitcher stitcher = Stitcher::Create(Head(), grid, {}).value();
   Measurement out;
-  StitchOnce(stitcher, read_noise, &out);
+  StitchOnce(stitcher, read_noise, demosaic, &out);
   for (auto _ : state) {
-    StitchOnce(stitcher, read_noise, &out);
+    StitchOnce(stitcher, read_noise, demosaic, &out);
     benchmark::DoNotOptimize(out.radiance.data());
   }
 }
@@ -174,7 +176,7 @@ class OpencvStitcher {
   double DifferenceFromOurs() {
     Stitcher stitcher = Stitcher::Create(Head(), grid_, {}).value();
     Measurement ours;
-    StitchOnce(stitcher, 0.5, &ours);
+    StitchOnce(stitcher, 0.5, Demosaic::kBilinear, &ours);
     Stitch(true);
     std::vector<double> differences;
     for (int y = 0; y < grid_.height(); y += 3) {
@@ -222,14 +224,18 @@ void Register() {
   const auto time = [](benchmark::internal::Benchmark* b) {
     b->Unit(benchmark::kMillisecond)->UseRealTime()->MeasureProcessCPUTime();
   };
-  time(benchmark::RegisterBenchmark("Stitch/omnihdr", Omnihdr, LatLong(), 0.5));
+  constexpr Demosaic kBilinear = Demosaic::kBilinear;
+  time(benchmark::RegisterBenchmark("Stitch/omnihdr", Omnihdr, LatLong(), 0.5, kBilinear));
   time(benchmark::RegisterBenchmark("Stitch/opencv", Opencv, LatLong(), true));
   time(benchmark::RegisterBenchmark("Stitch/opencv_unblended", Opencv, LatLong(), false));
-  time(benchmark::RegisterBenchmark("StitchRdMap/omnihdr", Omnihdr, RdMap(), 0.5));
+  time(benchmark::RegisterBenchmark("StitchRdMap/omnihdr", Omnihdr, RdMap(), 0.5, kBilinear));
   time(benchmark::RegisterBenchmark("StitchRdMap/opencv", Opencv, RdMap(), true));
   time(benchmark::RegisterBenchmark("StitchRdMap/opencv_unblended", Opencv, RdMap(), false));
+  time(benchmark::RegisterBenchmark("StitchEdgeAware/omnihdr", Omnihdr, LatLong(), 0.5,
+                                    Demosaic::kEdgeAware));
   // The read noise measured on every frame.
-  time(benchmark::RegisterBenchmark("StitchEstimatingNoise/omnihdr", Omnihdr, LatLong(), 0.0));
+  time(benchmark::RegisterBenchmark("StitchEstimatingNoise/omnihdr", Omnihdr, LatLong(), 0.0,
+                                    kBilinear));
 }
 
 [[maybe_unused]] const bool kRegistered = [] {
