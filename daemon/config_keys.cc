@@ -140,6 +140,10 @@ std::string_view NameOf(MergeWeights weights) {
   return weights == MergeWeights::kHat ? "hat" : "inverse-variance";
 }
 
+std::string_view NameOf(Demosaic demosaic) {
+  return demosaic == Demosaic::kEdgeAware ? "edge-aware" : "bilinear";
+}
+
 template <typename T>
 ConfigKey Choice(std::string name, std::vector<T> values, Member<T> member) {
   std::string expected;
@@ -439,6 +443,9 @@ std::vector<ConfigKey> MakeKeys() {
   add(Switch("photometry.refine_exposure", OMNIHDR_MEMBER(pipeline.options.refine_exposure)));
   add(Number("photometry.refine_limit", "a fraction", 0.01, 0.5,
              OMNIHDR_MEMBER(pipeline.options.refine_limit)));
+
+  add(Choice("stitch.demosaic", std::vector{Demosaic::kBilinear, Demosaic::kEdgeAware},
+             OMNIHDR_MEMBER(pipeline.options.demosaic)));
 
   add(EvenPixels("stereo.width", "", 128, 4096, OMNIHDR_MEMBER(pipeline.options.stereo_width)));
   add(Whole("stereo.labels", "a whole number", 16, 256, OMNIHDR_MEMBER(pipeline.options.labels)));

@@ -4,6 +4,7 @@
 #include <cassert>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <new>
 #include <span>
@@ -60,10 +61,17 @@ class Image {
   // Pixels are value-initialised (zero).
   Image(int width, int height, int channels = 1) : Image(width, height, channels, T{}) {}
   Image(int width, int height, int channels, T value)
-      : width_(width), height_(height), channels_(channels) {
-    assert(width >= 0 && height >= 0 && channels >= 0);
-    data_.reset(static_cast<T*>(::operator new (sizeof(T) * size(), std::align_val_t{64})));
+      : Image(Allocated{}, width, height, channels) {
     std::fill_n(data_.get(), size(), value);
+  }
+  // For a picture whose every value is then written: pixels hold anything, all bits set where
+  // assertions are on (NaN, of floats), so that a test sees the one that was forgotten.
+  static Image Uninitialized(int width, int height, int channels = 1) {
+    Image image(Allocated{}, width, height, channels);
+#ifndef NDEBUG
+    std::memset(static_cast<void*>(image.data()), 0xFF, sizeof(T) * image.size());
+#endif
+    return image;
   }
   Image(Image&& other) noexcept { *this = std::move(other); }
   Image& operator=(Image&& other) noexcept {
@@ -74,7 +82,7 @@ class Image {
     return *this;
   }
   Image Clone() const {
-    Image copy(width_, height_, channels_);
+    Image copy = Uninitialized(width_, height_, channels_);
     std::copy_n(data_.get(), size(), copy.data_.get());
     return copy;
   }
@@ -103,6 +111,12 @@ class Image {
   operator ImageView<const T>() const { return view(); }  // NOLINT(google-explicit-constructor)
 
  private:
+  struct Allocated {};
+  Image(Allocated /*unused*/, int width, int height, int channels)
+      : width_(width), height_(height), channels_(channels) {
+    assert(width >= 0 && height >= 0 && channels >= 0);
+    data_.reset(static_cast<T*>(::operator new (sizeof(T) * size(), std::align_val_t{64})));
+  }
   struct Free {
     void operator()(T* p) const { ::operator delete (p, std::align_val_t{64}); }
   };

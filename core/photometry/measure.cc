@@ -128,8 +128,8 @@ Result<Measurement> Measure(std::span<const ExposedFrame> frames, const Projecti
   m.projection = projection;
   const int width = frames.front().image->width();
   const int height = frames.front().image->height();
-  m.radiance = Image<float>(width, height, 4);
-  m.flags = Image<std::uint8_t>(width, height);
+  m.radiance = Image<float>::Uninitialized(width, height, 4);
+  m.flags = Image<std::uint8_t>::Uninitialized(width, height);
   const FramePlan& shortest = plan.frames.front();
   const FramePlan& longest = plan.frames.back();
   m.shortest_exposure_s = shortest.seconds;

@@ -7,6 +7,7 @@
 #include "core/base/units.h"
 #include "core/image/image.h"
 #include "core/image/image_io.h"
+#include "core/photometry/demosaic.h"
 #include "core/photometry/measurement.h"
 #include "core/photometry/merge_rows.h"
 #include "core/photometry/noise_model.h"
@@ -30,6 +31,8 @@ struct MeasureOptions {
   MergeWeights weights = MergeWeights::kInverseVariance;
   // Gains on the radiance of R, G, B, positive: what makes a neutral surface neutral.
   std::array<double, 3> white_balance = {1.0, 1.0, 1.0};
+  // Of the Bayer mosaics of a rig (Stitcher); finished pictures do not need it.
+  Demosaic demosaic = Demosaic::kBilinear;
 };
 
 // Whether frames can be merged: what Measure refuses, without measuring.

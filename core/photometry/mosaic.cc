@@ -357,8 +357,9 @@ Status MergeMosaic(std::span<const RigFrame> frames, const Rig& rig,
                          mosaic->radiance.height() == first.height() &&
                          mosaic->radiance.channels() == first.channels();
   if (!same_size) {
-    mosaic->radiance = Image<float>(first.width(), first.height(), first.channels());
-    mosaic->state = Image<std::uint8_t>(first.width(), first.height(), first.channels());
+    mosaic->radiance = Image<float>::Uninitialized(first.width(), first.height(), first.channels());
+    mosaic->state =
+        Image<std::uint8_t>::Uninitialized(first.width(), first.height(), first.channels());
   }
   if (first.is_16_bit()) {
     MergeRows<std::uint16_t>(frames, rows, merges, mosaic);

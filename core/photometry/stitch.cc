@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/base/parallel_for.h"
+#include "core/photometry/green_guide.h"
 #include "core/photometry/stitch_kernels.h"
 
 namespace omnihdr {
@@ -15,48 +16,22 @@ constexpr int kTileWidth = 256;
 constexpr int kTileHeight = 16;
 constexpr std::size_t kMaxBlended = std::tuple_size_v<decltype(StitchSegment::sensors)>;
 
-// A sensor's part in one call.
-struct SensorSource {
-  StitchScale scale;
-  bool is_mosaic = false;
-  // Straight from the bytes.
-  float black = 0.0F;
-  std::uint32_t low = 0;
-  std::uint32_t high = 0;
-};
-
 StitchScale ScaleOf(const RigSensor& sensor) {
   StitchScale scale;
   for (std::size_t c = 0; c < 3; ++c) scale.scale[c] = static_cast<float>(sensor.gain[c]);
   return scale;
 }
 
-// Where the frame is read from: its bytes, or the merged mosaic.
-struct Source {
-  const std::uint8_t* bytes = nullptr;
-  const RadianceMosaic* mosaic = nullptr;
-  int width = 0;
-  std::vector<SensorSource> sensors;
-
-  void Sample(std::uint8_t sensor, const StitchSamples& samples, float* rgba,
-              std::uint8_t* flags) const {
-    const SensorSource& s = sensors[sensor];
-    if (bytes != nullptr) {
-      StitchBytes(bytes, width, s.black, s.low, s.high, samples, s.scale, rgba, flags);
-    } else if (s.is_mosaic) {
-      StitchMosaic(mosaic->radiance.data(), mosaic->state.data(), width, samples, s.scale, rgba,
-                   flags);
-    } else {
-      const int channels = mosaic->radiance.channels();
-      StitchColour(mosaic->radiance.data(), mosaic->state.data(),
-                   static_cast<std::ptrdiff_t>(width) * channels, channels, samples, s.scale, rgba,
-                   flags);
-    }
-  }
-};
+// The noise of bilinear interpolation to that of the edge-aware one, measured in neutral even
+// areas: green is interpolated from fewer values and takes the other colours' curvature in, and
+// hands its noise on to them.
+std::array<float, 3> GuidedNoise(const std::array<float, 3>& bilinear) {
+  const float green = 0.95F * bilinear[1];
+  return {0.8F * bilinear[0] + green, 2.1F * bilinear[1], 0.8F * bilinear[2] + green};
+}
 
 // Columns [begin, end) of row y.
-void StitchPiece(const StitchTable& table, const Source& source, int y, int begin, int end,
+void StitchPiece(const StitchTable& table, const StitchSource& source, int y, int begin, int end,
                  Measurement* out) {
   float* rgba = out->radiance.row(y);
   std::uint8_t* flags = out->flags.row(y);
@@ -113,17 +88,20 @@ Result<Stitcher> Stitcher::Create(Rig rig, const SphereGrid& grid, const StitchM
   return stitcher;
 }
 
-Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Response> responses,
-                        int bits, const MeasureOptions& options, Measurement* out) {
+Result<StitchSource> Stitcher::Prepare(std::span<const RigFrame> frames,
+                                       std::span<const Response> responses, int bits,
+                                       const MeasureOptions& options,
+                                       std::vector<MosaicNoise>* noise) {
   OMNIHDR_TRY(CheckRigFrames(frames, rig_));
   if (responses.size() != 1 && responses.size() != rig_.sensors.size()) {
     return Fail(ErrorKind::kSoftware, "{} responses, expected 1 or {}", responses.size(),
                 rig_.sensors.size());
   }
-  Source source;
+  StitchSource source;
   source.width = frame_width();
   const auto* bytes = std::get_if<Image<std::uint8_t>>(&frames.front().image->pixels);
-  bool straight = frames.size() == 1 && bytes != nullptr && bytes->channels() == 1;
+  bool straight = frames.size() == 1 && bytes != nullptr && bytes->channels() == 1 &&
+                  options.demosaic == Demosaic::kBilinear;
   for (const RigSensor& sensor : rig_.sensors) {
     straight = straight && sensor.bayer != BayerOrder::kNone;
     source.sensors.push_back({ScaleOf(sensor), sensor.bayer != BayerOrder::kNone});
@@ -132,13 +110,12 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
     straight = straight && response.model() == ResponseModel::kLinear;
   }
 
-  std::vector<MosaicNoise> noise;
   if (straight) {
     source.bytes = bytes->data();
-    noise = NoiseOfRigFrames(frames, rig_, responses, bits, options);
+    *noise = NoiseOfRigFrames(frames, rig_, responses, bits, options);
     for (std::size_t s = 0; s < rig_.sensors.size(); ++s) {
       const Response& response = responses[responses.size() == 1 ? 0 : s];
-      SensorSource& sensor = source.sensors[s];
+      StitchSource::Sensor& sensor = source.sensors[s];
       const double seconds = frames.front().ExposureOf(s).EffectiveSeconds();
       for (std::size_t c = 0; c < 3; ++c) {
         sensor.scale.scale[c] = static_cast<float>(
@@ -151,13 +128,31 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
   } else {
     OMNIHDR_TRY(MergeMosaic(frames, rig_, responses, bits, options, &mosaic_));
     source.mosaic = &mosaic_;
-    noise = mosaic_.noise;
+    if (options.demosaic == Demosaic::kEdgeAware && mosaic_.radiance.channels() == 1) {
+      GreenGuide(mosaic_, rig_, rows_, &guide_);
+      source.guide = &guide_;
+    }
+    *noise = mosaic_.noise;
   }
+  return source;
+}
 
+Result<std::vector<Seam>> Stitcher::Seams(std::span<const RigFrame> frames,
+                                          std::span<const Response> responses, int bits,
+                                          const MeasureOptions& options) {
+  std::vector<MosaicNoise> noise;
+  OMNIHDR_ASSIGN(const StitchSource source, Prepare(frames, responses, bits, options, &noise));
+  return MeasureSeams(table_, source, grid_);
+}
+
+Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Response> responses,
+                        int bits, const MeasureOptions& options, Measurement* out) {
+  std::vector<MosaicNoise> noise;
+  OMNIHDR_ASSIGN(const StitchSource source, Prepare(frames, responses, bits, options, &noise));
   if (out->radiance.width() != table_.width || out->radiance.height() != table_.height ||
       out->radiance.channels() != 4) {
-    out->radiance = Image<float>(table_.width, table_.height, 4);
-    out->flags = Image<std::uint8_t>(table_.width, table_.height);
+    out->radiance = Image<float>::Uninitialized(table_.width, table_.height, 4);
+    out->flags = Image<std::uint8_t>::Uninitialized(table_.width, table_.height);
   }
   // In tiles: a row of the panorama runs down the columns of sensors that lie on their sides, and
   // its neighbours need the same lines of the cache.
@@ -190,10 +185,20 @@ Status Stitcher::Stitch(std::span<const RigFrame> frames, std::span<const Respon
     const StitchNoiseGain& gain = table_.noise_gain[s];
     out->longest_exposure_s = std::max(out->longest_exposure_s, noise[s].longest_exposure_s);
     out->shortest_exposure_s = std::min(out->shortest_exposure_s, noise[s].shortest_exposure_s);
+    std::array<float, 3> floor{};
+    std::array<float, 3> per_radiance{};
     for (std::size_t c = 0; c < 3; ++c) {
-      out->variance_floor[c] += static_cast<float>(gain.floor[c]) * noise[s].variance_floor[c];
-      out->variance_per_radiance[c] +=
+      floor[c] = static_cast<float>(gain.floor[c]) * noise[s].variance_floor[c];
+      per_radiance[c] =
           static_cast<float>(gain.per_radiance[c]) * noise[s].variance_per_radiance[c];
+    }
+    if (source.guide != nullptr && source.sensors[s].is_mosaic) {
+      floor = GuidedNoise(floor);
+      per_radiance = GuidedNoise(per_radiance);
+    }
+    for (std::size_t c = 0; c < 3; ++c) {
+      out->variance_floor[c] += floor[c];
+      out->variance_per_radiance[c] += per_radiance[c];
       out->saturation[c] =
           std::max(out->saturation[c], noise[s].saturation[c] * table_.largest_shade[s] *
                                            static_cast<float>(rig_.sensors[s].gain[c]));

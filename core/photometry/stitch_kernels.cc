@@ -43,6 +43,8 @@ HWY_INLINE VU MaxBytes(VU a, VU b) {
 // today's processors, and with a batch the reads do not wait for the writes.
 constexpr int kBatch = 64;
 static_assert(kBatch <= static_cast<int>(kStitchPadding));
+// Sensors of one pixel (StitchSegment).
+constexpr int kMostBlended = 4;
 
 // Rows of the blocks as words of four bytes: word[row][pixel].
 HWY_INLINE void GatherWords(const std::uint8_t* bytes, std::ptrdiff_t stride,
@@ -204,12 +206,41 @@ class Finisher {
 
   HWY_INLINE void Write(const Planes& block, VU packed, VF shade, float* rgba,
                         std::uint8_t* flags) const {
+    const Planes planes = ByTile(block, packed);
+    Finish(planes, planes.value[0], Green(planes), planes.value[3], shade, rgba, flags);
+  }
+
+  // `guide`: green interpolated from the block's places; `middle`: green at the point itself.
+  HWY_INLINE void WriteGuided(const Planes& block, const Planes& guide, VF middle, VU packed,
+                              VF shade, float* rgba, std::uint8_t* flags) const {
+    const F d;
+    const I di;
+    const Planes planes = ByTile(block, packed);
+    const Planes greens = ByTile(guide, packed);
+    const auto saturated = [&](VU most) HWY_ATTR {
+      return hn::RebindMask(d, hn::Gt(hn::BitCast(di, most), hn::Set(di, kMosaicUsable)));
+    };
+    const VU most_green = hn::Max(planes.most[1], planes.most[2]);
+    const auto guided = [&](int place) HWY_ATTR {
+      const VF ratio = hn::Div(middle, hn::Max(greens.value[place], hn::Set(d, 1e-30F)));
+      return hn::IfThenElse(saturated(hn::Max(most_green, planes.most[place])), planes.value[place],
+                            hn::Mul(planes.value[place], ratio));
+    };
+    Finish(planes, guided(0), hn::IfThenElse(saturated(most_green), Green(planes), middle),
+           guided(3), shade, rgba, flags);
+  }
+
+ private:
+  static HWY_INLINE VF Green(const Planes& planes) {
+    return hn::Mul(hn::Set(F(), 0.5F), hn::Add(planes.value[1], planes.value[2]));
+  }
+
+  HWY_INLINE void Finish(const Planes& planes, VF red, VF green, VF blue, VF shade, float* rgba,
+                         std::uint8_t* flags) const {
     const F d;
     const U du;
     const I di;
     const hn::Rebind<std::uint8_t, I> d8;
-    const Planes planes = ByTile(block, packed);
-    const VF green = hn::Mul(hn::Set(d, 0.5F), hn::Add(planes.value[1], planes.value[2]));
     const auto radiance = [&](VF value, float factor) HWY_ATTR {
       return hn::Mul(hn::Max(hn::Sub(value, hn::Set(d, limits_.black)), hn::Set(d, limits_.least)),
                      hn::Mul(shade, hn::Set(d, factor)));
@@ -222,9 +253,9 @@ class Finisher {
                                   FlagBits(planes.most[3], low, high, kSaturatedB, kDarkB)));
     const VF usable =
         hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(bits, hn::Zero(du))), hn::Set(d, 1.0F));
-    const VF r = radiance(planes.value[0], scale_.scale[0]);
+    const VF r = radiance(red, scale_.scale[0]);
     const VF g = radiance(green, scale_.scale[1]);
-    const VF b = radiance(planes.value[3], scale_.scale[2]);
+    const VF b = radiance(blue, scale_.scale[2]);
     // Clipped altogether: neutral, at the bound that holds for all channels, in spite of the gains.
     const VU saturated = hn::Set(du, std::uint32_t{kSaturatedAny});
     const auto white = hn::RebindMask(d, hn::Eq(hn::And(bits, saturated), saturated));
@@ -234,17 +265,16 @@ class Finisher {
     hn::StoreU(hn::DemoteTo(d8, hn::BitCast(di, bits)), d8, flags);
   }
 
- private:
   const Limits limits_;
   const StitchScale scale_;
 };
 
-// `fill` prepares a batch from its first pixel on; `values` gives the planes' values of the vector
-// that begins at a pixel of the batch.
-template <typename Fill, typename Values>
+// `fill` prepares a batch from its first pixel on; `write` finishes the vector that begins at a
+// pixel of the batch, of whose blocks it gets the bytes.
+template <typename Fill, typename Write>
 HWY_INLINE void StitchAll(const std::uint8_t* bytes, std::ptrdiff_t stride, const Fill& fill,
-                          const Values& values, const Finisher& finisher,
-                          const StitchSamples& samples, float* rgba, std::uint8_t* flags) {
+                          const Write& write, const StitchSamples& samples, float* rgba,
+                          std::uint8_t* flags) {
   const F d;
   const U du;
   const int lanes = static_cast<int>(hn::Lanes(d));
@@ -261,14 +291,12 @@ HWY_INLINE void StitchAll(const std::uint8_t* bytes, std::ptrdiff_t stride, cons
       const VU word[4] = {
           hn::Load(du, words[0] + (x - first)), hn::Load(du, words[1] + (x - first)),
           hn::Load(du, words[2] + (x - first)), hn::Load(du, words[3] + (x - first))};
-      Planes planes;
-      MostOf(word, planes.most);
-      values(x - first, word, packed, planes.value);
       const VF shade = hn::LoadU(d, samples.shade + x);
-      if (x + lanes <= samples.count) {
-        finisher.Write(planes, packed, shade, rgba + 4 * x, flags + x);
-      } else {
-        finisher.Write(planes, packed, shade, tail_rgba, tail_flags);
+      const bool is_whole = x + lanes <= samples.count;
+      // One call, so that it is inlined.
+      write(x - first, word, packed, shade, is_whole ? rgba + 4 * x : tail_rgba,
+            is_whole ? flags + x : tail_flags);
+      if (!is_whole) {
         const auto rest = static_cast<std::size_t>(samples.count - x);
         std::memcpy(rgba + 4 * x, tail_rgba, 4 * rest * sizeof(float));
         std::memcpy(flags + x, tail_flags, rest);
@@ -280,25 +308,182 @@ HWY_INLINE void StitchAll(const std::uint8_t* bytes, std::ptrdiff_t stride, cons
 void StitchMosaicRow(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
                      const StitchSamples& samples, const StitchScale& scale, float* rgba,
                      std::uint8_t* flags) {
+  const Finisher finisher(Limits{}, scale);
   HWY_ALIGN float batch[4 * kBatch];
   StitchAll(
       state, stride,
       [&](int first, int count)
           HWY_ATTR { ValuesOfMosaic(radiance, stride, samples, first, count, batch); },
-      [&](int k, const VU(&)[4], VU, VF(&value)[4]) HWY_ATTR {
-        hn::LoadInterleaved4(F(), batch + 4 * k, value[0], value[1], value[2], value[3]);
+      [&](int k, const VU(&word)[4], VU packed, VF shade, float* to, std::uint8_t* to_flags)
+          HWY_ATTR {
+            Planes planes;
+            MostOf(word, planes.most);
+            hn::LoadInterleaved4(F(), batch + 4 * k, planes.value[0], planes.value[1],
+                                 planes.value[2], planes.value[3]);
+            finisher.Write(planes, packed, shade, to, to_flags);
+          },
+      samples, rgba, flags);
+}
+
+void StitchGuidedRow(const float* radiance, const float* guide, const std::uint8_t* state,
+                     std::ptrdiff_t stride, const StitchSamples& samples, const StitchScale& scale,
+                     float* rgba, std::uint8_t* flags) {
+  const Finisher finisher(Limits{}, scale);
+  HWY_ALIGN float batch[4 * kBatch];
+  HWY_ALIGN float greens[4 * kBatch];
+  HWY_ALIGN float middle[kBatch];
+  StitchAll(
+      state, stride,
+      [&](int first, int count) HWY_ATTR {
+        ValuesOfMosaic(radiance, stride, samples, first, count, batch);
+        ValuesOfMosaic(guide, stride, samples, first, count, greens);
+        for (int k = 0; k < count; ++k) {
+          const float* at = guide + samples.block[first + k] + stride + 1;
+          const std::uint32_t packed = samples.packed[first + k];
+          const float fx = static_cast<float>(packed & 255U) * (1.0F / 256.0F);
+          const float fy = static_cast<float>(packed >> 8U & 255U) * (1.0F / 256.0F);
+          const float upper = at[0] + fx * (at[1] - at[0]);
+          const float lower = at[stride] + fx * (at[stride + 1] - at[stride]);
+          middle[k] = upper + fy * (lower - upper);
+        }
       },
-      Finisher(Limits{}, scale), samples, rgba, flags);
+      [&](int k, const VU(&word)[4], VU packed, VF shade, float* to, std::uint8_t* to_flags)
+          HWY_ATTR {
+            Planes planes;
+            Planes guides;
+            MostOf(word, planes.most);
+            MostOf(word, guides.most);
+            hn::LoadInterleaved4(F(), batch + 4 * k, planes.value[0], planes.value[1],
+                                 planes.value[2], planes.value[3]);
+            hn::LoadInterleaved4(F(), greens + 4 * k, guides.value[0], guides.value[1],
+                                 guides.value[2], guides.value[3]);
+            finisher.WriteGuided(planes, guides, hn::Load(F(), middle + k), packed, shade, to,
+                                 to_flags);
+          },
+      samples, rgba, flags);
 }
 
 void StitchBytesRow(const std::uint8_t* bytes, std::ptrdiff_t stride, float black,
                     std::uint32_t low, std::uint32_t high, const StitchSamples& samples,
                     const StitchScale& scale, float* rgba, std::uint8_t* flags) {
+  const Finisher finisher(Limits{low, high, black, 0.25F}, scale);
   StitchAll(
       bytes, stride, [](int, int) {},
-      [](int, const VU(&word)[4], VU packed, VF(&value)[4])
-          HWY_ATTR { ValuesOfBytes(word, packed, value); },
-      Finisher(Limits{low, high, black, 0.25F}, scale), samples, rgba, flags);
+      [&](int, const VU(&word)[4], VU packed, VF shade, float* to, std::uint8_t* to_flags)
+          HWY_ATTR {
+            Planes planes;
+            MostOf(word, planes.most);
+            ValuesOfBytes(word, packed, planes.value);
+            finisher.Write(planes, packed, shade, to, to_flags);
+          },
+      samples, rgba, flags);
+}
+
+// A vector of pixels that several sensors see: R, G, B, usable, flags and packed samples of each.
+HWY_INLINE void BlendVector(const float* const* rgba, const std::uint8_t* const* flags,
+                            const std::uint32_t* const* packed, int sensors, float* out_rgba,
+                            std::uint8_t* out_flags) {
+  const F d;
+  const U du;
+  const I di;
+  const hn::Rebind<std::uint8_t, I> d8;
+  const VU zero = hn::Zero(du);
+  const VU all = hn::Set(du, std::uint32_t{kSaturatedAny});
+  const VF one = hn::Set(d, 1.0F);
+  VU state[kMostBlended];
+  VF share[kMostBlended];
+  VF value[3][kMostBlended];
+  VU any = zero;
+  for (int k = 0; k < sensors; ++k) {
+    VF usable;
+    hn::LoadInterleaved4(d, rgba[k], value[0][k], value[1][k], value[2][k], usable);
+    state[k] = hn::PromoteTo(du, hn::LoadU(d8, flags[k]));
+    const VU bits = hn::And(hn::ShiftRight<16>(hn::LoadU(du, packed[k])), hn::Set(du, kFullShare));
+    share[k] = hn::ConvertTo(d, hn::BitCast(di, bits));
+    any = hn::Or(any, state[k]);
+  }
+  VF out[3];
+  VU bits = any;
+  if (hn::AllTrue(du, hn::Eq(hn::And(any, all), zero))) {
+    VF shares = hn::Zero(d);
+    for (int k = 0; k < sensors; ++k) shares = hn::Add(shares, share[k]);
+    const VF inverse = hn::Div(one, shares);
+    for (int c = 0; c < 3; ++c) {
+      VF sum = hn::Zero(d);
+      for (int k = 0; k < sensors; ++k) sum = hn::MulAdd(share[k], value[c][k], sum);
+      out[c] = hn::Mul(sum, inverse);
+    }
+  } else {
+    VU clean = zero;
+    for (int k = 0; k < sensors; ++k) {
+      clean = hn::Or(clean, hn::VecFromMask(du, hn::Eq(hn::And(state[k], all), zero)));
+    }
+    bits = zero;
+    for (int c = 0; c < 3; ++c) {
+      const VU saturated = hn::Set(du, std::uint32_t{kSaturatedR} << static_cast<unsigned>(c));
+      const VU dark = hn::Set(du, std::uint32_t{kDarkR} << static_cast<unsigned>(c));
+      // What keeps a sample out: any saturated channel, where another sensor has none.
+      const VU barred = hn::Or(hn::And(clean, all), saturated);
+      VF sum = hn::Zero(d);
+      VF shares = hn::Zero(d);
+      VF bound = hn::Zero(d);
+      for (int k = 0; k < sensors; ++k) {
+        const auto enters = hn::Eq(hn::And(state[k], barred), zero);
+        const auto enters_f = hn::RebindMask(d, enters);
+        const VF part = hn::IfThenElseZero(enters_f, share[k]);
+        sum = hn::MulAdd(part, value[c][k], sum);
+        shares = hn::Add(shares, part);
+        bound = hn::Max(bound, hn::IfThenZeroElse(enters_f, value[c][k]));
+        bits = hn::Or(bits, hn::IfThenElseZero(enters, hn::And(state[k], dark)));
+      }
+      const auto known = hn::Gt(shares, hn::Zero(d));
+      out[c] = hn::IfThenElse(known, hn::Mul(sum, hn::Div(one, shares)), bound);
+      bits = hn::Or(bits, hn::IfThenZeroElse(hn::RebindMask(du, known), saturated));
+    }
+    const auto white = hn::RebindMask(d, hn::Eq(hn::And(bits, all), all));
+    const VF least = hn::Min(out[0], hn::Min(out[1], out[2]));
+    for (VF& v : out) v = hn::IfThenElse(white, least, v);
+  }
+  const VF usable = hn::IfThenElseZero(hn::RebindMask(d, hn::Eq(bits, zero)), one);
+  hn::StoreInterleaved4(out[0], out[1], out[2], usable, d, out_rgba);
+  hn::StoreU(hn::DemoteTo(d8, hn::BitCast(di, bits)), d8, out_flags);
+}
+
+void BlendRow(const float* rgba, const std::uint8_t* flags, const std::uint32_t* const* packed,
+              int sensors, int count, float* out_rgba, std::uint8_t* out_flags) {
+  const int lanes = static_cast<int>(hn::Lanes(F()));
+  const float* in_rgba[kMostBlended];
+  const std::uint8_t* in_flags[kMostBlended];
+  const std::uint32_t* in_packed[kMostBlended];
+  int x = 0;
+  for (; x + lanes <= count; x += lanes) {
+    for (int k = 0; k < sensors; ++k) {
+      in_rgba[k] = rgba + 4 * (k * count + x);
+      in_flags[k] = flags + k * count + x;
+      in_packed[k] = packed[k] + x;
+    }
+    BlendVector(in_rgba, in_flags, in_packed, sensors, out_rgba + 4 * x, out_flags + x);
+  }
+  if (x >= count) return;
+  // The rest in a whole vector of its own: zeros beyond it.
+  constexpr std::size_t kMostLanes = HWY_MAX_BYTES / sizeof(float);
+  float rest_rgba[kMostBlended][4 * kMostLanes] = {};
+  std::uint8_t rest_flags[kMostBlended][kMostLanes] = {};
+  std::uint32_t rest_packed[kMostBlended][kMostLanes] = {};
+  float to_rgba[4 * kMostLanes];
+  std::uint8_t to_flags[kMostLanes];
+  const auto rest = static_cast<std::size_t>(count - x);
+  for (int k = 0; k < sensors; ++k) {
+    std::memcpy(rest_rgba[k], rgba + 4 * (k * count + x), 4 * rest * sizeof(float));
+    std::memcpy(rest_flags[k], flags + k * count + x, rest);
+    std::memcpy(rest_packed[k], packed[k] + x, rest * sizeof(std::uint32_t));
+    in_rgba[k] = rest_rgba[k];
+    in_flags[k] = rest_flags[k];
+    in_packed[k] = rest_packed[k];
+  }
+  BlendVector(in_rgba, in_flags, in_packed, sensors, to_rgba, to_flags);
+  std::memcpy(out_rgba + 4 * x, to_rgba, 4 * rest * sizeof(float));
+  std::memcpy(out_flags + x, to_flags, rest);
 }
 
 }  // namespace HWY_NAMESPACE
@@ -310,7 +495,9 @@ namespace omnihdr {
 namespace {
 
 HWY_EXPORT(StitchMosaicRow);
+HWY_EXPORT(StitchGuidedRow);
 HWY_EXPORT(StitchBytesRow);
+HWY_EXPORT(BlendRow);
 
 constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
 constexpr std::array<std::uint8_t, 3> kDarkBit = {kDarkR, kDarkG, kDarkB};
@@ -326,6 +513,13 @@ void StitchMosaic(const float* radiance, const std::uint8_t* state, std::ptrdiff
                   const StitchSamples& samples, const StitchScale& scale, float* rgba,
                   std::uint8_t* flags) {
   HWY_DYNAMIC_DISPATCH(StitchMosaicRow)(radiance, state, stride, samples, scale, rgba, flags);
+}
+
+void StitchGuided(const float* radiance, const float* guide, const std::uint8_t* state,
+                  std::ptrdiff_t stride, const StitchSamples& samples, const StitchScale& scale,
+                  float* rgba, std::uint8_t* flags) {
+  HWY_DYNAMIC_DISPATCH(StitchGuidedRow)
+  (radiance, guide, state, stride, samples, scale, rgba, flags);
 }
 
 void StitchBytes(const std::uint8_t* bytes, std::ptrdiff_t stride, float black, std::uint32_t low,
@@ -370,57 +564,8 @@ void StitchColour(const float* radiance, const std::uint8_t* state, std::ptrdiff
 
 void BlendSamples(const float* rgba, const std::uint8_t* flags, const std::uint32_t* const* packed,
                   int sensors, int count, float* out_rgba, std::uint8_t* out_flags) {
-  for (int x = 0; x < count; ++x) {
-    std::uint8_t any = 0;
-    for (int k = 0; k < sensors; ++k) any = static_cast<std::uint8_t>(any | flags[k * count + x]);
-    float* out = out_rgba + 4 * x;
-    if ((any & kSaturatedAny) == 0) {
-      std::array<float, 4> sum{};
-      float shares = 0.0F;
-      for (int k = 0; k < sensors; ++k) {
-        const auto share = static_cast<float>(ShareOf(packed[k][x]));
-        const float* in = rgba + 4 * (k * count + x);
-        for (std::size_t c = 0; c < 4; ++c) sum[c] += share * in[c];
-        shares += share;
-      }
-      const float inverse = 1.0F / shares;
-      for (std::size_t c = 0; c < 3; ++c) out[c] = sum[c] * inverse;
-      out[3] = any == 0 ? 1.0F : 0.0F;
-      out_flags[x] = any;
-      continue;
-    }
-    bool some_clean = false;
-    for (int k = 0; k < sensors; ++k) {
-      some_clean = some_clean || (flags[k * count + x] & kSaturatedAny) == 0;
-    }
-    std::uint8_t bits = 0;
-    for (std::size_t c = 0; c < 3; ++c) {
-      float sum = 0.0F;
-      float shares = 0.0F;
-      float bound = 0.0F;
-      for (int k = 0; k < sensors; ++k) {
-        const std::uint8_t f = flags[k * count + x];
-        const float value = rgba[4 * (k * count + x) + static_cast<int>(c)];
-        if (some_clean ? (f & kSaturatedAny) != 0 : (f & kSaturatedBit[c]) != 0) {
-          bound = std::max(bound, value);
-          continue;
-        }
-        const auto share = static_cast<float>(ShareOf(packed[k][x]));
-        sum += share * value;
-        shares += share;
-        bits = static_cast<std::uint8_t>(bits | (f & kDarkBit[c]));
-      }
-      if (shares > 0.0F) {
-        out[c] = sum / shares;
-      } else {
-        out[c] = bound;
-        bits = static_cast<std::uint8_t>(bits | kSaturatedBit[c]);
-      }
-    }
-    NeutralWhere(bits, out);
-    out[3] = bits == 0 ? 1.0F : 0.0F;
-    out_flags[x] = bits;
-  }
+  HWY_DYNAMIC_DISPATCH(BlendRow)
+  (rgba, flags, packed, sensors, count, out_rgba, out_flags);
 }
 
 }  // namespace omnihdr

@@ -30,6 +30,13 @@ struct StitchScale {
 void StitchMosaic(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
                   const StitchSamples& samples, const StitchScale& scale, float* rgba,
                   std::uint8_t* flags);
+// The same with the mosaic's green at every place (GreenGuide, the mosaic's size): green is
+// bilinear between the 2×2 places in the middle of the block, red and blue are the mosaic's values
+// times the ratio of that green to the one interpolated from their own places. Colours that are
+// saturated, and all where green is, are as without the guide: bounds stay bounds.
+void StitchGuided(const float* radiance, const float* guide, const std::uint8_t* state,
+                  std::ptrdiff_t stride, const StitchSamples& samples, const StitchScale& scale,
+                  float* rgba, std::uint8_t* flags);
 // Straight from the bytes of one exposure of a linear sensor: value − black, at least a quarter of
 // a step; saturated above `high`, dark below `low`.
 void StitchBytes(const std::uint8_t* bytes, std::ptrdiff_t stride, float black, std::uint32_t low,

@@ -186,7 +186,7 @@ template <typename Factors>
 Image<std::uint8_t> MapRows(ImageView<const float> radiance, Factors factors) {
   const int width = radiance.width();
   const int channels = radiance.channels();
-  Image<std::uint8_t> out(width, radiance.height(), 3);
+  auto out = Image<std::uint8_t>::Uninitialized(width, radiance.height(), 3);
   ParallelFor(radiance.height(), 16, [&](int begin, int end) {
     std::array<float, kBlock> luminance;
     std::array<float, kBlock> factor;
@@ -203,7 +203,7 @@ Image<std::uint8_t> MapRows(ImageView<const float> radiance, Factors factors) {
 }
 
 Image<std::uint8_t> MapByFactors(ImageView<const float> radiance, const Image<float>& factors) {
-  Image<std::uint8_t> out(radiance.width(), radiance.height(), 3);
+  auto out = Image<std::uint8_t>::Uninitialized(radiance.width(), radiance.height(), 3);
   ParallelFor(radiance.height(), 16, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       EncodeRow(radiance.row(y), radiance.channels(), factors.row(y), radiance.width(), out.row(y));

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "core/image/image_io.h"
+#include "core/pipeline/rig_masks.h"
 #include "core/session/response_json.h"
 #include "core/session/rig_file.h"
 
@@ -32,65 +33,7 @@ Status CheckRig(const Rig& rig, const std::filesystem::path& rig_file, const Ses
   return {};
 }
 
-// The lens masks of the rig as one picture of the stacked frame; empty when no sensor has one.
-Result<Image<std::uint8_t>> StackedMask(const Rig& rig, const std::filesystem::path& directory) {
-  OMNIHDR_ASSIGN(const std::vector<int> rows, StackedRows(rig));
-  Image<std::uint8_t> stacked;
-  for (std::size_t s = 0; s < rig.sensors.size(); ++s) {
-    const RigSensor& sensor = rig.sensors[s];
-    if (sensor.mask_file.empty()) continue;
-    const std::filesystem::path file = directory / sensor.mask_file;
-    OMNIHDR_ASSIGN(const Image<std::uint8_t> mask, ReadMask(file));
-    if (mask.width() != sensor.lens.width() || mask.height() != sensor.lens.height()) {
-      return Fail(ErrorKind::kData, "{}: mask of {}x{}, expected the size of sensor \"{}\", {}x{}",
-                  file.string(), mask.width(), mask.height(), sensor.name, sensor.lens.width(),
-                  sensor.lens.height());
-    }
-    if (stacked.empty()) stacked = Image<std::uint8_t>(mask.width(), rows.back(), 1, 255);
-    for (int y = 0; y < mask.height(); ++y) {
-      std::copy_n(mask.row(y), mask.width(), stacked.row(rows[s] + y));
-    }
-  }
-  return stacked;
-}
-
-// A lat-long mask of another size: the nearest pixel counts.
-Image<std::uint8_t> Resized(ImageView<const std::uint8_t> mask, int width, int height) {
-  Image<std::uint8_t> resized(width, height);
-  for (int y = 0; y < height; ++y) {
-    const int from_y = static_cast<int>((y + 0.5) * mask.height() / height);
-    for (int x = 0; x < width; ++x) {
-      resized.at(x, y) = mask.at(static_cast<int>((x + 0.5) * mask.width() / width), from_y);
-    }
-  }
-  return resized;
-}
-
-void Intersect(ImageView<const std::uint8_t> other, Image<std::uint8_t>* mask) {
-  for (int y = 0; y < mask->height(); ++y) {
-    for (int x = 0; x < mask->width(); ++x) {
-      if (other.at(x, y) < 128) mask->at(x, y) = 0;
-    }
-  }
-}
-
 }  // namespace
-
-Result<Image<std::uint8_t>> ReadMask(const std::filesystem::path& file) {
-  OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(file));
-  Image<std::uint8_t> mask(decoded.width(), decoded.height());
-  std::visit(
-      [&mask](const auto& image) {
-        const int shift = sizeof(image.data()[0]) == 2 ? 8 : 0;
-        for (int y = 0; y < mask.height(); ++y) {
-          for (int x = 0; x < mask.width(); ++x) {
-            mask.at(x, y) = static_cast<std::uint8_t>(image.pixel(x, y)[0] >> shift);
-          }
-        }
-      },
-      decoded.pixels);
-  return mask;
-}
 
 Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
                                           const SessionInfo& info,
@@ -101,13 +44,12 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   FrameMeasurer measurer;
   measurer.bits_ = camera.bits;
   measurer.responses_ = {info.response};
-  const bool has_frame_size = mask.width() == camera.width && mask.height() == camera.height;
   if (camera.layout != Layout::kRig) {
     measurer.projection_ = camera.layout == Layout::kPanorama
                                ? camera.PanoramaProjection()
                                : Projection::Equirectangular(camera.width, camera.height);
     if (!mask.empty()) {
-      if (!has_frame_size) {
+      if (mask.width() != camera.width || mask.height() != camera.height) {
         return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected the frames' size {}x{}",
                     mask_name, mask.width(), mask.height(), camera.width, camera.height);
       }
@@ -141,22 +83,9 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
       measurer.responses_.push_back(std::move(response));
     }
   }
-  OMNIHDR_ASSIGN(Image<std::uint8_t> stacked, StackedMask(rig, session));
-  Image<std::uint8_t> panorama;
-  if (has_frame_size) {
-    if (stacked.empty()) stacked = Image<std::uint8_t>(camera.width, camera.height, 1, 255);
-    Intersect(mask, &stacked);
-  } else if (!mask.empty()) {
-    if (mask.width() != 2 * mask.height()) {
-      return Fail(ErrorKind::kData,
-                  "{}: {}x{} pixels, expected the stacked frames' size {}x{} or a lat-long picture "
-                  "twice as wide as high",
-                  mask_name, mask.width(), mask.height(), camera.width, camera.height);
-    }
-    panorama = Resized(mask, width, width / 2);
-  }
-  Result<Stitcher> stitcher =
-      Stitcher::Create(std::move(rig), measurer.projection_, {stacked.view(), panorama.view()});
+  const SphereGrid grid(measurer.projection_);
+  OMNIHDR_ASSIGN(const RigMasks masks, ReadRigMasks(rig, session, grid, mask, mask_name));
+  Result<Stitcher> stitcher = Stitcher::Create(std::move(rig), grid, masks.views());
   if (!stitcher) return Forward(std::move(stitcher).error(), rig_file.string());
   measurer.stitcher_.emplace(std::move(*stitcher));
   measurer.mask_ = std::move(stacked);

@@ -50,7 +50,4 @@ class FrameMeasurer {
   std::optional<Stitcher> stitcher_;
 };
 
-// A mask picture as W×H×1, white (of its first channel) = use. Errors name the file.
-Result<Image<std::uint8_t>> ReadMask(const std::filesystem::path& file);
-
 }  // namespace omnihdr

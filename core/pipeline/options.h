@@ -5,6 +5,7 @@
 
 #include "core/base/result.h"
 #include "core/image/exr.h"
+#include "core/photometry/demosaic.h"
 #include "core/photometry/merge_rows.h"
 #include "core/photometry/noise_model.h"
 #include "core/photometry/tonemap.h"
@@ -54,6 +55,8 @@ struct PipelineOptions {
   // (relative).
   bool refine_exposure = true;
   double refine_limit = 0.2;
+  // [stitch]
+  Demosaic demosaic = Demosaic::kBilinear;  // of a rig's raw frames
   // [stereo]
   int stereo_width = 1024;         // of the equirectangular matching grid
   int labels = 96;                 // inverse-distance hypotheses

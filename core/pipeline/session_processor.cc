@@ -14,6 +14,7 @@
 #include "core/image/image_io.h"
 #include "core/photometry/exposure_refine.h"
 #include "core/pipeline/frame_measurer.h"
+#include "core/pipeline/rig_masks.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
 #include "core/session/session_reader.h"
@@ -346,6 +347,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     measure.noise = options_.noise;
     measure.weights = options_.weights;
     measure.white_balance = options_.white_balance;
+    measure.demosaic = options_.demosaic;
     std::vector<std::string> notes = RefineLabels(exposed, usable);
     Result<Measurement> measurement = measurer_->Measure(exposed, measure);
     if (!measurement) {

@@ -216,8 +216,8 @@ MergedView ViewOfMeasurement(const Measurement& m) {
   MergedView view;
   const int width = m.radiance.width();
   const int height = m.radiance.height();
-  view.radiance = Image<float>(width, height, 3);
-  view.origin = Image<std::uint8_t>(width, height);
+  view.radiance = Image<float>::Uninitialized(width, height, 3);
+  view.origin = Image<std::uint8_t>::Uninitialized(width, height);
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       std::copy_n(m.radiance.pixel(x, y), 3, view.radiance.pixel(x, y));

@@ -32,6 +32,7 @@ void AddPictureCommand(CLI::App& app, CommandRun& run);
 void AddCompareCommand(CLI::App& app, CommandRun& run);
 void AddConfigCommand(CLI::App& app, CommandRun& run);
 void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
+void AddStitchCommand(CLI::App& app, CommandRun& run);
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

@@ -21,6 +21,7 @@
 #include "core/sphere/sphere_grid.h"
 #include "core/sphere/sphere_remap.h"
 #include "daemon/cli/command.h"
+#include "daemon/cli/grid_option.h"
 
 namespace omnihdr {
 namespace {
@@ -37,11 +38,6 @@ struct ConvertArguments {
   int size = 0;
   int quality = 92;
 };
-
-// Our own attributes for projections that OpenEXR has no `envmap` value for.
-constexpr const char* kProjectionAttribute = "omnihdrProjection";
-constexpr const char* kZMinAttribute = "omnihdrZMin";
-constexpr const char* kZMaxAttribute = "omnihdrZMax";
 
 enum class FileKind { kExr, kPng, kJpeg, kTiff };
 
@@ -119,24 +115,9 @@ Result<SphereGrid> TargetGrid(const ConvertArguments& arguments, const SphereGri
   if (!arguments.z_range.empty() && kind != SphereGridKind::kCylindrical) {
     return Fail(ErrorKind::kUsage, "--z-range: with --to {}, expected --to cylinder", arguments.to);
   }
-  // The thesis's cylinder: 134° high, a width by three quarters.
-  constexpr double kHalfHeight = 0.75 * std::numbers::pi;
   OMNIHDR_ASSIGN(const Band band,
-                 BandOf("--z-range", arguments.z_range, {-kHalfHeight, kHalfHeight}));
-  if (arguments.size % 2 != 0 && kind == SphereGridKind::kEquirectangular) {
-    return Fail(ErrorKind::kUsage, "--size: {}, expected an even width for --to latlong",
-                arguments.size);
-  }
-  const SphereGrid grid = arguments.size > 0
-                              ? GridOfSize(kind, arguments.size, band.z_min, band.z_max)
-                              : GridAsFineAs(source, kind, band.z_min, band.z_max);
-  const std::size_t pixels =
-      static_cast<std::size_t>(grid.width()) * static_cast<std::size_t>(grid.height());
-  if (pixels > kMaxImagePixels) {
-    return Fail(ErrorKind::kUsage, "--size: a picture of {}x{}, expected at most {} pixels",
-                grid.width(), grid.height(), kMaxImagePixels);
-  }
-  return grid;
+                 BandOf("--z-range", arguments.z_range, {-kCylinderZ, kCylinderZ}));
+  return GridToWrite(kind, arguments.size, source, band.z_min, band.z_max);
 }
 
 // Calls `apply` with the tables of one stripe of the target after the other, so that the tables of
@@ -149,30 +130,6 @@ void InStripes(const SphereGrid& target, const SphereGrid& source, const Apply& 
   for (; options.first_row < target.height(); options.first_row += options.rows) {
     apply(SphereRemap(target, source, options));
   }
-}
-
-ExrAttributes AttributesFor(const SphereGrid& target, ExrAttributes attributes) {
-  attributes.envmap = ExrEnvmap::kNone;
-  attributes.strings.erase(kProjectionAttribute);
-  attributes.floats.erase(kZMinAttribute);
-  attributes.floats.erase(kZMaxAttribute);
-  switch (target.kind()) {
-    case SphereGridKind::kEquirectangular:
-      attributes.envmap = ExrEnvmap::kLatLong;
-      break;
-    case SphereGridKind::kCubeStrip:
-      attributes.envmap = ExrEnvmap::kCube;
-      break;
-    case SphereGridKind::kCylindrical:
-      attributes.floats[kZMinAttribute] = target.z_min();
-      attributes.floats[kZMaxAttribute] = target.z_max();
-      [[fallthrough]];
-    case SphereGridKind::kCubeCross:
-    case SphereGridKind::kRhombicDodecahedron:
-      attributes.strings[kProjectionAttribute] = ToString(target.kind());
-      break;
-  }
-  return attributes;
 }
 
 // Whether a channel holds names of things, which have no in-between.
@@ -193,7 +150,7 @@ Result<Converted> ConvertExr(const ConvertArguments& arguments) {
   OMNIHDR_ASSIGN(const SphereGrid target, TargetGrid(arguments, source, FileKind::kExr));
   std::map<std::string, Image<float>> out;
   for (const auto& [name, pixels] : image.channels) {
-    out.emplace(name, Image<float>(target.width(), target.height()));
+    out.emplace(name, Image<float>::Uninitialized(target.width(), target.height()));
   }
   InStripes(target, source, [&](const SphereRemap& remap) {
     for (const auto& [name, pixels] : image.channels) {
@@ -237,7 +194,7 @@ Result<Converted> ConvertPicture(const ConvertArguments& arguments, FileKind kin
   const bool is_latlong = target.kind() == SphereGridKind::kEquirectangular;
   const Result<std::vector<std::byte>> bytes = std::visit(
       [&]<typename T>(const Image<T>& pixels) {
-        Image<T> out(target.width(), target.height(), pixels.channels());
+        auto out = Image<T>::Uninitialized(target.width(), target.height(), pixels.channels());
         InStripes(target, source,
                   [&](const SphereRemap& remap) { remap.Apply(pixels, out.view()); });
         return Encode(ImageView<const T>(out), kind, is_latlong, arguments.quality);
@@ -246,16 +203,6 @@ Result<Converted> ConvertPicture(const ConvertArguments& arguments, FileKind kin
   if (!bytes) return Forward(bytes.error(), arguments.out);
   OMNIHDR_TRY(WriteFileAtomic(arguments.out, *bytes));
   return Converted{source, target, image.is_16_bit() ? "16-bit" : "8-bit"};
-}
-
-std::string Shown(const SphereGrid& grid) {
-  std::string text = fmt::format("{} {}x{}", ToString(grid.kind()), grid.width(), grid.height());
-  if (grid.kind() == SphereGridKind::kCylindrical) {
-    text += fmt::format(" (z {:.4g} to {:.4g})", grid.z_min(), grid.z_max());
-  } else if (grid.faces() > 1) {
-    text += fmt::format(" ({} faces of {})", grid.faces(), grid.face_width());
-  }
-  return text;
 }
 
 Result<int> Convert(const ConvertArguments& arguments) {

@@ -9,31 +9,46 @@
 
 namespace omnihdr {
 
-Result<ExposedImageName> ParseExposedImage(const std::string& text) {
-  const std::size_t at = text.rfind('@');
-  const auto fail = [&text] {
-    return Fail(ErrorKind::kUsage,
-                "{}: expected IMAGE@SECONDS with SECONDS > 0, as in a.png@0.5 or "
-                "a.png@1/60",
-                text);
-  };
-  if (at == std::string::npos || at == 0) return fail();
+std::optional<ExposureTime> ParseSeconds(std::string_view text) {
   const auto number = [](std::string_view part, double* value) {
     const auto [end, error] = std::from_chars(part.data(), part.data() + part.size(), *value);
     return error == std::errc{} && end == part.data() + part.size() && std::isfinite(*value) &&
            *value > 0.0;
   };
-  const std::string_view seconds = std::string_view(text).substr(at + 1);
-  const std::size_t slash = seconds.find('/');
+  const std::size_t slash = text.find('/');
   double numerator = 0.0;
   double denominator = 1.0;
-  if (!number(seconds.substr(0, slash), &numerator)) return fail();
-  if (slash != std::string_view::npos && !number(seconds.substr(slash + 1), &denominator)) {
-    return fail();
+  if (!number(text.substr(0, slash), &numerator)) return std::nullopt;
+  if (slash != std::string_view::npos && !number(text.substr(slash + 1), &denominator)) {
+    return std::nullopt;
   }
   const ExposureTime time = ExposureTime::Seconds(numerator / denominator);
-  if (!time.IsValid()) return fail();
-  return ExposedImageName{text.substr(0, at), time};
+  if (!time.IsValid()) return std::nullopt;
+  return time;
+}
+
+Result<ExposedImageName> ParseExposedImage(const std::string& text) {
+  const std::size_t at = text.rfind('@');
+  if (at != std::string::npos && at != 0) {
+    const auto time = ParseSeconds(std::string_view(text).substr(at + 1));
+    if (time) return ExposedImageName{text.substr(0, at), *time};
+  }
+  return Fail(ErrorKind::kUsage,
+              "{}: expected IMAGE@SECONDS with SECONDS > 0, as in a.png@0.5 or "
+              "a.png@1/60",
+              text);
+}
+
+Result<std::array<double, 3>> WhiteBalanceOf(const std::vector<double>& gains) {
+  std::array<double, 3> balance = {1.0, 1.0, 1.0};
+  for (std::size_t c = 0; c < gains.size() && c < 3; ++c) {
+    if (!(gains[c] >= 0.1 && gains[c] <= 10.0)) {
+      return Fail(ErrorKind::kUsage, "--white-balance: {}, expected three gains in [0.1, 10]",
+                  gains[c]);
+    }
+    balance[c] = gains[c];
+  }
+  return balance;
 }
 
 Result<Image<std::uint8_t>> LoadPictureMask(const std::string& file, int width, int height) {

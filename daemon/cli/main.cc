@@ -29,6 +29,7 @@ constexpr std::array kCommands = {
     AddCompareCommand,
     AddConfigCommand,
     AddRigCommand,
+    AddStitchCommand,
 };
 // clang-format on
 

@@ -43,15 +43,7 @@ Result<MeasureOptions> MeasureOptionsOf(const MergeArguments& arguments) {
   MeasureOptions options;
   options.weights =
       arguments.weights == "hat" ? MergeWeights::kHat : MergeWeights::kInverseVariance;
-  if (arguments.white_balance.empty()) return options;
-  for (std::size_t c = 0; c < 3; ++c) {
-    const double gain = arguments.white_balance[c];
-    if (!(gain >= 0.1 && gain <= 10.0)) {
-      return Fail(ErrorKind::kUsage, "--white-balance: {}, expected three gains in [0.1, 10]",
-                  gain);
-    }
-    options.white_balance[c] = gain;
-  }
+  OMNIHDR_ASSIGN(options.white_balance, WhiteBalanceOf(arguments.white_balance));
   return options;
 }
 

@@ -10,6 +10,7 @@
 #include "core/image/image_io.h"
 #include "core/photometry/measure.h"
 #include "core/photometry/sampler.h"
+#include "core/pipeline/rig_masks.h"
 
 namespace omnihdr {
 Result<FrameMeasurer> OpenOwnFrames(const std::filesystem::path& session, const SessionInfo& info,

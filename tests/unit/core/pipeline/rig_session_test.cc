@@ -80,6 +80,21 @@ TEST(RigSession, ABracketTakenStandingStillBecomesARadiancePanorama) {
   EXPECT_LT(quality.off, 0.06);
 }
 
+TEST(RigSession, AnEdgeAwareMosaicIsNearerToTheScene) {
+  const TemporaryDirectory directory;
+  WriteRigSession(directory.path(), testing::MakeRing({.sphere_radius_m = 4.0}), {Pose{}},
+                  {0.1, 0.5, 2.5}, 3);
+  const auto off = [&](Demosaic demosaic) {
+    const TemporaryDirectory out;
+    PipelineOptions options = testing::QuickOptions();
+    options.mode = ProcessMode::kTemporal;
+    options.demosaic = demosaic;
+    ProcessAll(directory.path(), out.path(), options);
+    return Judge(out.path() / "views" / "000000", Pose{}, Eigen::Quaterniond::Identity()).off;
+  };
+  EXPECT_LT(off(Demosaic::kEdgeAware), 0.8 * off(Demosaic::kBilinear));
+}
+
 TEST(RigSession, ADriveBecomesViewsAsFromPanoramas) {
   const TemporaryDirectory directory;
   const std::vector<Pose> poses = testing::GentleBend(4, 0.2);

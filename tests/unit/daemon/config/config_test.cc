@@ -316,6 +316,15 @@ TEST(Config, WhatItAcceptsThePipelineAccepts) {
   EXPECT_GE(checked, 20);
 }
 
+TEST(Config, HowMosaicsAreInterpolatedIsNamed) {
+  EXPECT_EQ(ParseConfig("", "x").config.pipeline.options.demosaic, Demosaic::kBilinear);
+  const LoadedConfig loaded = ParseConfig("stitch.demosaic = \"edge-aware\"\n", "x");
+  ASSERT_TRUE(loaded.ok());
+  EXPECT_EQ(loaded.config.pipeline.options.demosaic, Demosaic::kEdgeAware);
+  EXPECT_THAT(OnlyProblem("stitch.demosaic = \"vng\"\n"),
+              HasSubstr("expected \"bilinear\" or \"edge-aware\""));
+}
+
 TEST(Config, ABracketGivenBothWaysInOneFileIsAnError) {
   EXPECT_THAT(OnlyProblem("[bracket]\nexposures_s = [0.1]\nstart_s = 0.001\n"),
               HasSubstr("dir/test.toml:3: bracket.start_s: 0.001, expected either "
