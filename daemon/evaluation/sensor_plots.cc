@@ -66,13 +66,13 @@ Plot AgainstReference(std::span<const SensorChart> charts, const std::vector<std
   return plot;
 }
 
-Plot OffTheLine(const std::vector<std::string>& names, const SensorConsistency& result) {
+Plot OffTheLine(const SensorConsistency& result) {
   Plot plot;
   plot.title = "linearity over exposure time";
-  plot.x_label = "patch";
+  plot.x_label = "patch (19 to 24: white to black)";
   plot.y_label = "largest distance from a straight line, %";
-  for (std::size_t s = 0; s < names.size(); ++s) {
-    PlotSeries series = DotsOf(names[s], s);
+  for (std::size_t s = 0; s < result.sensors.size(); ++s) {
+    PlotSeries series = DotsOf("", s);  // the other plot names the colours
     for (std::size_t p = 0; p < kChartPatches; ++p) {
       double worst = -1.0;
       for (const ExposureLine& line : result.sensors[s].lines[p]) {
@@ -92,7 +92,7 @@ Plot OffTheLine(const std::vector<std::string>& names, const SensorConsistency& 
 std::vector<Plot> SensorPlots(std::span<const SensorChart> charts,
                               const std::vector<std::string>& names,
                               const SensorConsistency& result) {
-  return {AgainstReference(charts, names), OffTheLine(names, result)};
+  return {AgainstReference(charts, names), OffTheLine(result)};
 }
 
 }  // namespace omnihdr

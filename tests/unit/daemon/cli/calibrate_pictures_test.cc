@@ -138,7 +138,7 @@ TEST_F(CalibratePictures, SensorsAreComparedInStackedBayerFrames) {
   // A dot for every usable grey patch of a picture and for every patch's line, and the legends'.
   const Result<std::string> plot = ReadTextFile(Path("plot.svg"));
   ASSERT_TRUE(plot) << plot.error().message;
-  int dots = 4;
+  int dots = 2;
   for (const nlohmann::json& sensor : report["sensors"]) {
     for (const nlohmann::json& patch : sensor["patches"]) {
       const nlohmann::json& lines = patch["linearity"];
