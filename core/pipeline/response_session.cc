@@ -22,36 +22,29 @@ struct Frame {
   DecodedImage image;
 };
 
-// A Bayer mosaic as colour at half size: the two greens' mean, so that no value is invented.
 template <typename T>
-Image<T> HalfSize(const Image<T>& mosaic, const std::string& order) {
+Image<T> HalfSize(const Image<T>& mosaic, BayerOrder order) {
   Image<T> colour(mosaic.width() / 2, mosaic.height() / 2, 3);
   for (int y = 0; y < colour.height(); ++y) {
     for (int x = 0; x < colour.width(); ++x) {
-      std::uint32_t green = 1;  // rounds
-      T* out = colour.pixel(x, y);
+      std::array<std::uint32_t, 3> sum = {0, 1, 0};  // green's 1 rounds
       for (int k = 0; k < 4; ++k) {
-        const T value = mosaic.at(2 * x + k % 2, 2 * y + k / 2);
-        const char c = order[static_cast<std::size_t>(k)];
-        if (c == 'R') out[0] = value;
-        if (c == 'G') green += value;
-        if (c == 'B') out[2] = value;
+        sum[static_cast<std::size_t>(BayerChannel(order, k % 2, k / 2))] +=
+            mosaic.at(2 * x + k % 2, 2 * y + k / 2);
       }
-      out[1] = static_cast<T>(green / 2);
+      T* out = colour.pixel(x, y);
+      out[0] = static_cast<T>(sum[0]);
+      out[1] = static_cast<T>(sum[1] / 2);
+      out[2] = static_cast<T>(sum[2]);
     }
   }
   return colour;
 }
 
-Image<std::uint8_t> HalfMask(ImageView<const std::uint8_t> mask) {
-  Image<std::uint8_t> half(mask.width() / 2, mask.height() / 2);
-  for (int y = 0; y < half.height(); ++y) {
-    for (int x = 0; x < half.width(); ++x) {
-      half.at(x, y) = std::min({mask.at(2 * x, 2 * y), mask.at(2 * x + 1, 2 * y),
-                                mask.at(2 * x, 2 * y + 1), mask.at(2 * x + 1, 2 * y + 1)});
-    }
-  }
-  return half;
+// kNone also where the frames are no mosaics.
+BayerOrder BayerOf(const CameraDescription& camera) {
+  if (camera.layout != Layout::kRig) return BayerOrder::kNone;
+  return BayerOrderFromString(camera.bayer).value_or(BayerOrder::kNone);
 }
 
 Result<DecodedImage> Load(const std::filesystem::path& directory, const FrameRecord& record,
@@ -63,11 +56,8 @@ Result<DecodedImage> Load(const std::filesystem::path& directory, const FrameRec
     return Fail(ErrorKind::kData, "{}: {}x{}, expected {}x{} as session.json says", path.string(),
                 image->width(), image->height(), camera.width, camera.height);
   }
-  if (camera.layout == Layout::kRig && image->channels() == 1) {
-    return std::visit(
-        [&](const auto& pixels) { return DecodedImage{HalfSize(pixels, camera.bayer)}; },
-        image->pixels);
-  }
+  const BayerOrder order = BayerOf(camera);
+  if (order != BayerOrder::kNone && image->channels() == 1) return HalfSizeColour(*image, order);
   return image;
 }
 
@@ -333,13 +323,29 @@ Result<SessionSamples> SamplesFromSession(const std::filesystem::path& directory
     if (DifferentExposures(frames)) brackets.push_back(std::move(frames));
   }
   if (!brackets.empty()) {
-    if (contents.info.camera.layout == Layout::kRig && !mask.empty()) {
-      const Image<std::uint8_t> half = HalfMask(mask);
+    if (BayerOf(contents.info.camera) != BayerOrder::kNone && !mask.empty()) {
+      const Image<std::uint8_t> half = HalfSizeMask(mask);
       return FromBrackets(directory, contents, std::move(brackets), half.view(), options);
     }
     return FromBrackets(directory, contents, std::move(brackets), mask, options);
   }
   return FromMotion(directory, contents, single, mask, options);
+}
+
+DecodedImage HalfSizeColour(const DecodedImage& mosaic, BayerOrder order) {
+  return std::visit([order](const auto& pixels) { return DecodedImage{HalfSize(pixels, order)}; },
+                    mosaic.pixels);
+}
+
+Image<std::uint8_t> HalfSizeMask(ImageView<const std::uint8_t> mask) {
+  Image<std::uint8_t> half(mask.width() / 2, mask.height() / 2);
+  for (int y = 0; y < half.height(); ++y) {
+    for (int x = 0; x < half.width(); ++x) {
+      half.at(x, y) = std::min({mask.at(2 * x, 2 * y), mask.at(2 * x + 1, 2 * y),
+                                mask.at(2 * x, 2 * y + 1), mask.at(2 * x + 1, 2 * y + 1)});
+    }
+  }
+  return half;
 }
 
 }  // namespace omnihdr

@@ -6,8 +6,10 @@
 
 #include "core/base/result.h"
 #include "core/image/image.h"
+#include "core/image/image_io.h"
 #include "core/photometry/response_samples.h"
 #include "core/session/session_reader.h"
+#include "core/sphere/rig.h"
 
 namespace omnihdr {
 
@@ -32,13 +34,18 @@ struct SessionSampleOptions {
 // exposures (layout panorama): features found in both of two neighbouring positions' frames and
 // agreeing with one motion of the camera (essential matrix), which things that moved by themselves
 // do not; a feature is a blob, whose mean over its core changes least with where exactly it is put.
-// Frames of the layout rig are read at half size, each 2×2 tile one colour pixel. `mask`: empty or
-// of a frame's size, under 128 = do not use.
+// Bayer mosaics of the layout rig are read at half size. `mask`: empty or of a frame's size, under
+// 128 = do not use.
 // Errors: as SamplesFromBracket; a moving session whose layout is not panorama or of which no two
 // neighbours under different exposures could be matched.
 Result<SessionSamples> SamplesFromSession(const std::filesystem::path& directory,
                                           const SessionContents& contents,
                                           ImageView<const std::uint8_t> mask,
                                           const SessionSampleOptions& options);
+
+// A Bayer mosaic as colour at half size: each 2×2 tile one pixel, its green the mean of two.
+// Requires one channel and an order. And a mask to go with it: what any of the four does not use.
+DecodedImage HalfSizeColour(const DecodedImage& mosaic, BayerOrder order);
+Image<std::uint8_t> HalfSizeMask(ImageView<const std::uint8_t> mask);
 
 }  // namespace omnihdr

@@ -141,8 +141,34 @@ std::string KeyPart(std::string_view part) {
   return bare ? std::string(part) : TomlText(part);
 }
 
-TomlValue Convert(const toml::node& node, int depth) {
+// From the library's lines and columns of the encoded text to bytes of the text.
+class Places {
+ public:
+  // `skipped`: bytes before `text`.
+  Places(std::string_view text, std::size_t skipped) {
+    lines_.push_back(0);
+    for (std::size_t i = 0; i < text.size(); ++i) {
+      const bool one = static_cast<unsigned char>(text[i]) < 0x80 && text[i] != '~';
+      offsets_.insert(offsets_.end(), one ? 1 : 3, static_cast<std::uint32_t>(skipped + i));
+      if (text[i] == '\n') lines_.push_back(offsets_.size());
+    }
+    offsets_.push_back(static_cast<std::uint32_t>(skipped + text.size()));
+  }
+  std::size_t Of(const toml::source_position& at) const {
+    const std::size_t line = std::clamp<std::size_t>(at.line, 1, lines_.size()) - 1;
+    const std::size_t column = std::max<std::size_t>(at.column, 1) - 1;
+    return offsets_[std::min(lines_[line] + column, offsets_.size() - 1)];
+  }
+
+ private:
+  std::vector<std::size_t> lines_;      // where they begin in the encoded text
+  std::vector<std::uint32_t> offsets_;  // of every encoded byte, and of the end
+};
+
+TomlValue Convert(const toml::node& node, const Places& places, int depth) {
   TomlValue value;
+  value.begin = places.Of(node.source().begin);
+  value.end = places.Of(node.source().end);
   if (const auto* boolean = node.as_boolean()) {
     value.type = TomlValue::Type::kBoolean;
     value.boolean = boolean->get();
@@ -157,7 +183,9 @@ TomlValue Convert(const toml::node& node, int depth) {
     value.text = Decode(text->get());
   } else if (const auto* array = node.as_array(); array != nullptr && depth < kMaxTableDepth) {
     value.type = TomlValue::Type::kArray;
-    for (const toml::node& item : *array) value.items.push_back(Convert(item, depth + 1));
+    for (const toml::node& item : *array) {
+      value.items.push_back(Convert(item, places, depth + 1));
+    }
   } else {
     value.text = node.is_table()   ? "a section"
                  : node.is_array() ? "nested arrays"
@@ -166,37 +194,37 @@ TomlValue Convert(const toml::node& node, int depth) {
   return value;
 }
 
-void Flatten(const toml::table& table, const std::string& prefix, int depth,
+void Flatten(const toml::table& table, const Places& places, const std::string& prefix, int depth,
              std::vector<TomlEntry>& entries);
 
 // `key`'s heading and what is below it.
-void FlattenTable(const toml::table& table, const std::string& key, int line, int depth,
-                  std::vector<TomlEntry>& entries) {
+void FlattenTable(const toml::table& table, const Places& places, const std::string& key, int line,
+                  int depth, std::vector<TomlEntry>& entries) {
   TomlEntry entry{key, std::nullopt, line};
   if (depth >= kMaxTableDepth) {
     entry.value = TomlValue{};
     entry.value->text = "sections nested too deep";
   }
   entries.push_back(std::move(entry));
-  if (depth < kMaxTableDepth) Flatten(table, key + ".", depth + 1, entries);
+  if (depth < kMaxTableDepth) Flatten(table, places, key + ".", depth + 1, entries);
 }
 
-void Flatten(const toml::table& table, const std::string& prefix, int depth,
+void Flatten(const toml::table& table, const Places& places, const std::string& prefix, int depth,
              std::vector<TomlEntry>& entries) {
   for (const auto& [name, node] : table) {
     const std::string key = prefix + KeyPart(Decode(name.str()));
     const int line = static_cast<int>(name.source().begin.line);
     const toml::array* array = node.as_array();
     if (const toml::table* child = node.as_table()) {
-      FlattenTable(*child, key, line, depth, entries);
+      FlattenTable(*child, places, key, line, depth, entries);
     } else if (array != nullptr && !array->empty() && array->is_array_of_tables()) {
       for (std::size_t i = 0; i < array->size(); ++i) {
         const toml::table* item = array->get(i)->as_table();
-        FlattenTable(*item, fmt::format("{}[{}]", key, i),
+        FlattenTable(*item, places, fmt::format("{}[{}]", key, i),
                      static_cast<int>(item->source().begin.line), depth, entries);
       }
     } else {
-      entries.push_back({key, Convert(node, 0), line});
+      entries.push_back({key, Convert(node, places, 0), line});
     }
   }
 }
@@ -280,7 +308,8 @@ TomlDocument ParseToml(std::string_view text, std::size_t max_bytes) {
                                  static_cast<unsigned>(static_cast<unsigned char>(text[bad])));
     return document;
   }
-  if (text.starts_with("\xEF\xBB\xBF")) text.remove_prefix(3);
+  const std::size_t skipped = text.starts_with("\xEF\xBB\xBF") ? 3 : 0;
+  text.remove_prefix(skipped);
   if (const std::size_t tilde = FindEscapedTilde(text); tilde != std::string_view::npos) {
     document.error_line = LineOf(text, tilde);
     document.error = "\"~\" as an escape, expected the character itself";
@@ -290,7 +319,7 @@ TomlDocument ParseToml(std::string_view text, std::size_t max_bytes) {
   const std::string encoded = Encode(text) + "\n\n\n\n";
   try {
     const toml::table table = toml::parse(std::string_view(encoded));
-    Flatten(table, "", 0, document.entries);
+    Flatten(table, Places(text, skipped), "", 0, document.entries);
   } catch (const toml::parse_error& error) {
     document.error_line = static_cast<int>(error.source().begin.line);
     document.error = ErrorText(error, encoded);

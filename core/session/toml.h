@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -17,6 +18,9 @@ struct TomlValue {
   double real = 0.0;
   std::string text;
   std::vector<TomlValue> items;
+  // Where it stands: bytes [begin, end) of the text, quotes and brackets included.
+  std::size_t begin = 0;
+  std::size_t end = 0;
 };
 
 // A value for messages and for `config show`: TOML, shortened when it is long.

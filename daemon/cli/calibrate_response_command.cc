@@ -7,7 +7,10 @@
 #include <filesystem>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <optional>
+#include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/file.h"
@@ -15,8 +18,10 @@
 #include "core/photometry/response_calibration.h"
 #include "core/pipeline/response_session.h"
 #include "core/session/response_json.h"
+#include "core/session/rig_edit.h"
 #include "daemon/cli/calibrate_command.h"
 #include "daemon/cli/exposed_image.h"
+#include "daemon/cli/rig_sensor.h"
 #include "daemon/evaluation/plot.h"
 
 namespace omnihdr {
@@ -30,12 +35,49 @@ struct ResponseArguments {
   std::string mask;
   std::string out;
   std::string apply;
+  std::string rig;
+  std::string sensor;
   std::string plot;
   int bits = 16;
   bool json = false;
 };
 
-Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments) {
+using MaybeSensor = std::optional<RigSensorChoice>;
+
+bool IsSession(const ResponseArguments& arguments) {
+  std::error_code ignored;
+  return std::filesystem::is_directory(arguments.inputs.front(), ignored);
+}
+
+// The rig's sensor that the pictures are of, if any is named. A rig's session brings its rig.
+Result<MaybeSensor> SensorOf(const ResponseArguments& arguments) {
+  if (arguments.rig.empty() && arguments.sensor.empty()) return MaybeSensor();
+  std::string file = arguments.rig;
+  if (file.empty()) {
+    file = (std::filesystem::path(arguments.inputs.front()) / "rig.toml").string();
+    std::error_code ignored;
+    if (!IsSession(arguments) || !std::filesystem::exists(file, ignored)) {
+      return Fail(ErrorKind::kUsage, "--sensor {}: of which rig? Name it with --rig",
+                  arguments.sensor);
+    }
+  }
+  OMNIHDR_ASSIGN(RigSensorChoice choice, ChooseRigSensor(file, arguments.sensor));
+  return MaybeSensor(std::move(choice));
+}
+
+// What of a frame to use; empty for all of it.
+Result<Image<std::uint8_t>> MaskOf(const ResponseArguments& arguments, const MaybeSensor& sensor,
+                                   const std::string& frame, int width, int height) {
+  Image<std::uint8_t> mask;
+  if (!arguments.mask.empty()) {
+    OMNIHDR_ASSIGN(mask, LoadPictureMask(arguments.mask, width, height));
+  }
+  if (!sensor) return mask;
+  return MaskOfSensor(*sensor, frame, width, height, mask.view());
+}
+
+Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments,
+                                          const MaybeSensor& sensor) {
   std::vector<DecodedImage> images;
   std::vector<std::string> names;
   std::vector<ExposureTime> times;
@@ -47,23 +89,28 @@ Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments) {
     names.push_back(input.file);
     times.push_back(input.time);
   }
+  OMNIHDR_ASSIGN(Image<std::uint8_t> mask, MaskOf(arguments, sensor, names.front(),
+                                                  images.front().width(), images.front().height()));
+  if (sensor && sensor->sensor().bayer != BayerOrder::kNone) {
+    bool halved = false;
+    for (DecodedImage& image : images) {
+      if (image.channels() != 1) continue;  // developed already
+      image = HalfSizeColour(image, sensor->sensor().bayer);
+      halved = true;
+    }
+    if (halved) mask = HalfSizeMask(mask.view());
+  }
   std::vector<ExposedFrame> frames;
   for (std::size_t k = 0; k < images.size(); ++k) frames.push_back({&images[k], {times[k], {}}});
-  Image<std::uint8_t> mask;
-  if (!arguments.mask.empty()) {
-    OMNIHDR_ASSIGN(
-        mask, LoadPictureMask(arguments.mask, images.front().width(), images.front().height()));
-  }
   return SamplesFromBracket(frames, names, arguments.bits, mask.view(), SampleOptions{});
 }
 
 // From pictures, or from the one session named.
-Result<SessionSamples> Samples(const ResponseArguments& arguments) {
+Result<SessionSamples> Samples(const ResponseArguments& arguments, const MaybeSensor& sensor) {
   const std::filesystem::path session = arguments.inputs.front();
-  std::error_code ignored;
-  if (!std::filesystem::is_directory(session, ignored)) {
+  if (!IsSession(arguments)) {
     SessionSamples result;
-    OMNIHDR_ASSIGN(result.samples, SamplesFromImages(arguments));
+    OMNIHDR_ASSIGN(result.samples, SamplesFromImages(arguments, sensor));
     result.frames = static_cast<int>(result.samples.seconds.size());
     return result;
   }
@@ -71,11 +118,9 @@ Result<SessionSamples> Samples(const ResponseArguments& arguments) {
     return Fail(ErrorKind::kUsage, "{}: expected one session, or pictures only", session.string());
   }
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
-  Image<std::uint8_t> mask;
-  if (!arguments.mask.empty()) {
-    OMNIHDR_ASSIGN(mask, LoadPictureMask(arguments.mask, contents.info.camera.width,
-                                         contents.info.camera.height));
-  }
+  OMNIHDR_ASSIGN(const Image<std::uint8_t> mask,
+                 MaskOf(arguments, sensor, session.string(), contents.info.camera.width,
+                        contents.info.camera.height));
   return SamplesFromSession(session, contents, mask.view(), SessionSampleOptions{});
 }
 
@@ -200,7 +245,8 @@ Status Apply(const std::filesystem::path& session, const Response& response) {
 Result<int> Calibrate(const ResponseArguments& arguments) {
   const std::optional<ResponseMethod> method = ResponseMethodFromString(arguments.method);
   if (!method) return Fail(ErrorKind::kUsage, "--method {}: no such method", arguments.method);
-  OMNIHDR_ASSIGN(const SessionSamples source, Samples(arguments));
+  OMNIHDR_ASSIGN(const MaybeSensor sensor, SensorOf(arguments));
+  OMNIHDR_ASSIGN(const SessionSamples source, Samples(arguments, sensor));
   for (const std::string& warning : source.warnings) {
     fmt::print(stderr, "warning: {}\n", warning);
   }
@@ -213,8 +259,20 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
   }
   if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, Plots(calibration, *method)));
   if (!arguments.apply.empty()) OMNIHDR_TRY(Apply(arguments.apply, calibration.response));
-  fmt::print("{}", arguments.json ? ReportJson(calibration, source, *method)
-                                  : Report(calibration, source, *method));
+  if (sensor) {
+    RigEdit edit;
+    edit.sensor = sensor->sensor().name;
+    edit.response = calibration.response;
+    OMNIHDR_TRY(EditRigFile(sensor->rig_file, std::span(&edit, 1)));
+  }
+  if (arguments.json) {
+    fmt::print("{}", ReportJson(calibration, source, *method));
+    return 0;
+  }
+  fmt::print("{}", Report(calibration, source, *method));
+  if (sensor) {
+    fmt::print("{}: response of sensor {} set\n", sensor->rig_file, sensor->sensor().name);
+  }
   return 0;
 }
 
@@ -222,7 +280,9 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
 
 void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run) {
   CLI::App* command = calibrate.add_subcommand(
-      "response", "Recover the camera's response curve from differently exposed pictures");
+      "response",
+      "Recover the response curve of a camera, or of one of a rig's sensors, from differently "
+      "exposed pictures or a drive");
   auto arguments = std::make_shared<ResponseArguments>();
   command
       ->add_option("inputs", arguments->inputs,
@@ -240,6 +300,11 @@ void AddCalibrateResponse(CLI::App& calibrate, CommandRun& run) {
   command->add_option("--out", arguments->out,
                       "file for the response, a JSON object as in session.json");
   command->add_option("--apply", arguments->apply, "session directory that gets the response");
+  command->add_option("--rig", arguments->rig,
+                      "rig file one of whose sensors the pictures are of (alone, or all of them "
+                      "stacked); that sensor gets the response [SESSION/rig.toml with --sensor]");
+  command->add_option("--sensor", arguments->sensor,
+                      "that sensor: its name, or its number from 0 [the only one]");
   command->add_option("--plot", arguments->plot, "picture of the curves, .png or .svg");
   command->add_flag("--json", arguments->json, "print the report, curves included, as JSON");
   command->callback([arguments, &run] { run = [arguments] { return Calibrate(*arguments); }; });

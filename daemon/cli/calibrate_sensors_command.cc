@@ -18,10 +18,11 @@
 #include "core/photometry/color_chart.h"
 #include "core/photometry/sensor_consistency.h"
 #include "core/photometry/white_balance.h"
-#include "core/session/rig_file.h"
+#include "core/session/rig_edit.h"
 #include "daemon/cli/calibrate_command.h"
 #include "daemon/cli/calibration_input.h"
 #include "daemon/evaluation/chart_overlay.h"
+#include "daemon/evaluation/sensor_plots.h"
 
 namespace omnihdr {
 namespace {
@@ -33,6 +34,7 @@ struct ChartArguments {
   std::string corners;
   std::string overlay;
   std::string sensor;
+  std::string plot;
   bool apply = false;
   bool json = false;
 };
@@ -198,13 +200,15 @@ Result<int> CalibrateWhiteBalance(const ChartArguments& arguments) {
   OMNIHDR_ASSIGN(const WhiteBalance balance, SolveWhiteBalance(measurements));
   std::string applied;
   if (arguments.apply) {
-    for (RigSensor& sensor : charts.input.rig->sensors) {
+    std::vector<RigEdit> edits;
+    for (const RigSensor& sensor : charts.input.rig->sensors) {
       if (!arguments.sensor.empty() && sensor.name != arguments.sensor) continue;
-      sensor.gain[0] = sensor.gain[1] * balance.red;
-      sensor.gain[2] = sensor.gain[1] * balance.blue;
+      const double green = sensor.gain[1];
+      edits.push_back(
+          {sensor.name, std::array{green * balance.red, green, green * balance.blue}, {}, {}});
       applied += (applied.empty() ? "" : ", ") + sensor.name;
     }
-    OMNIHDR_TRY(WriteFileAtomic(charts.input.rig_file, FormatRig(*charts.input.rig)));
+    OMNIHDR_TRY(EditRigFile(charts.input.rig_file, edits));
   }
   if (arguments.json) {
     Json out = {{"gain", {{"red", balance.red}, {"green", 1.0}, {"blue", balance.blue}}},
@@ -385,13 +389,15 @@ Result<int> CalibrateSensors(const ChartArguments& arguments) {
     result.warnings.emplace_back(
         "one-channel pictures without --bayer: taken for grey, all colours read the same");
   }
+  if (!arguments.plot.empty()) {
+    OMNIHDR_TRY(WritePlots(arguments.plot, SensorPlots(measured, names, result)));
+  }
   if (arguments.apply) {
-    for (RigSensor& sensor : charts.input.rig->sensors) {
-      const auto found = std::find(names.begin(), names.end(), sensor.name);
-      if (found == names.end()) continue;
-      sensor.gain = result.sensors[static_cast<std::size_t>(found - names.begin())].gain;
+    std::vector<RigEdit> edits;
+    for (std::size_t s = 0; s < names.size(); ++s) {
+      edits.push_back({names[s], result.sensors[s].gain, {}, {}});
     }
-    OMNIHDR_TRY(WriteFileAtomic(charts.input.rig_file, FormatRig(*charts.input.rig)));
+    OMNIHDR_TRY(EditRigFile(charts.input.rig_file, edits));
   }
   if (arguments.json) {
     fmt::print("{}\n", SensorsJson(charts, names, result).dump(2));
@@ -438,10 +444,12 @@ void AddCalibrateWhiteBalance(CLI::App& calibrate, CommandRun& run) {
 void AddCalibrateSensors(CLI::App& calibrate, CommandRun& run) {
   CLI::App* command = calibrate.add_subcommand(
       "sensors",
-      "Linearity of each sensor and agreement between them from pictures of a ColorChecker under "
-      "one light, and the gains that make them agree");
+      "Linearity of each sensor, with a plot, and agreement between them from pictures of a "
+      "ColorChecker under one light, and the gains that make them agree");
   auto arguments = std::make_shared<ChartArguments>();
   AddChartOptions(command, arguments.get());
+  command->add_option("--plot", arguments->plot,
+                      "picture of how linear each sensor is, patch by patch, .png or .svg");
   command->callback(
       [arguments, &run] { run = [arguments] { return CalibrateSensors(*arguments); }; });
 }

@@ -11,9 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "core/base/file.h"
 #include "core/photometry/vignetting.h"
-#include "core/session/rig_file.h"
+#include "core/session/rig_edit.h"
 #include "daemon/cli/calibrate_command.h"
 #include "daemon/cli/calibration_input.h"
 #include "daemon/cli/exposed_image.h"
@@ -196,7 +195,7 @@ Json ToJson(const Outcome& outcome) {
 }
 
 Result<int> CalibrateVignetting(const VignettingArguments& arguments) {
-  OMNIHDR_ASSIGN(Pictures pictures, ReadAll(arguments));
+  OMNIHDR_ASSIGN(const Pictures pictures, ReadAll(arguments));
   if ((arguments.apply || arguments.apply_gains) && !pictures.input.rig) {
     return Fail(ErrorKind::kUsage, "{}: into which rig? Name it with --rig",
                 arguments.apply ? "--apply" : "--apply-gains");
@@ -207,15 +206,15 @@ Result<int> CalibrateVignetting(const VignettingArguments& arguments) {
   OMNIHDR_ASSIGN(const Outcome outcome,
                  arguments.overlaps ? FromOverlaps(arguments, pictures) : FromFlatFields(pictures));
   if (arguments.apply || arguments.apply_gains) {
-    Rig& rig = *pictures.input.rig;
+    std::vector<RigEdit> edits;
     for (std::size_t i = 0; i < outcome.names.size(); ++i) {
-      for (RigSensor& sensor : rig.sensors) {
-        if (sensor.name != outcome.names[i]) continue;
-        sensor.vignetting = outcome.fits[i].vignetting;
-        if (arguments.apply_gains) sensor.gain = outcome.overlap.gain[i];
-      }
+      RigEdit edit;
+      edit.sensor = outcome.names[i];
+      edit.vignetting = outcome.fits[i].vignetting.coefficients;
+      if (arguments.apply_gains) edit.gain = outcome.overlap.gain[i];
+      edits.push_back(edit);
     }
-    OMNIHDR_TRY(WriteFileAtomic(pictures.input.rig_file, FormatRig(rig)));
+    OMNIHDR_TRY(EditRigFile(pictures.input.rig_file, edits));
   }
   if (arguments.json) {
     fmt::print("{}\n", ToJson(outcome).dump(2));

@@ -39,18 +39,6 @@ Result<ExposedImageName> ParseExposedImage(const std::string& text) {
               text);
 }
 
-Result<std::array<double, 3>> WhiteBalanceOf(const std::vector<double>& gains) {
-  std::array<double, 3> balance = {1.0, 1.0, 1.0};
-  for (std::size_t c = 0; c < gains.size() && c < 3; ++c) {
-    if (!(gains[c] >= 0.1 && gains[c] <= 10.0)) {
-      return Fail(ErrorKind::kUsage, "--white-balance: {}, expected three gains in [0.1, 10]",
-                  gains[c]);
-    }
-    balance[c] = gains[c];
-  }
-  return balance;
-}
-
 Result<Image<std::uint8_t>> LoadPictureMask(const std::string& file, int width, int height) {
   OMNIHDR_ASSIGN(const DecodedImage decoded, ReadImage(file));
   if (decoded.is_16_bit() || decoded.width() != width || decoded.height() != height) {

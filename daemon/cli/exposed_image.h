@@ -1,11 +1,9 @@
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
-#include <vector>
 
 #include "core/base/result.h"
 #include "core/base/units.h"
@@ -24,9 +22,6 @@ std::optional<ExposureTime> ParseSeconds(std::string_view text);
 
 // IMAGE@SECONDS, where SECONDS is a decimal number or a fraction (1/60). kUsage error otherwise.
 Result<ExposedImageName> ParseExposedImage(const std::string& text);
-
-// What --white-balance names: three gains in [0.1, 10], or none given = 1. kUsage error otherwise.
-Result<std::array<double, 3>> WhiteBalanceOf(const std::vector<double>& gains);
 
 // A mask for pictures of this size: W×H×1, under 128 = do not use. Errors: not an 8-bit picture of
 // that size.

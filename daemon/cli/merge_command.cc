@@ -18,6 +18,7 @@
 #include "daemon/cli/exposed_image.h"
 #include "daemon/cli/exposure_table.h"
 #include "daemon/cli/response_option.h"
+#include "daemon/cli/white_balance_option.h"
 
 namespace omnihdr {
 namespace {
@@ -43,7 +44,9 @@ Result<MeasureOptions> MeasureOptionsOf(const MergeArguments& arguments) {
   MeasureOptions options;
   options.weights =
       arguments.weights == "hat" ? MergeWeights::kHat : MergeWeights::kInverseVariance;
-  OMNIHDR_ASSIGN(options.white_balance, WhiteBalanceOf(arguments.white_balance));
+  if (!arguments.white_balance.empty()) {
+    OMNIHDR_ASSIGN(options.white_balance, WhiteBalanceOf(arguments.white_balance));
+  }
   return options;
 }
 
@@ -157,10 +160,7 @@ void AddMergeCommand(CLI::App& app, CommandRun& run) {
                    "of the exposures: inverse-variance of the noise, or hat over the values")
       ->check(CLI::IsMember({"inverse-variance", "hat"}))
       ->capture_default_str();
-  command
-      ->add_option("--white-balance", arguments->white_balance, "gains on R,G,B, as in 1.9,1,1.4")
-      ->delimiter(',')
-      ->expected(3);
+  AddWhiteBalanceOption(command, "gains on R,G,B, as in 1.9,1,1.4", &arguments->white_balance);
   command
       ->add_option("--refine-limit", arguments->refine_limit,
                    "largest correction of an exposure time by the overlap of exposures, a fraction")

@@ -7,12 +7,14 @@
 #include <memory>
 #include <set>
 #include <string>
+#include <vector>
 
 #include "core/base/parallel_for.h"
 #include "core/pipeline/session_processor.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
 #include "daemon/cli/command.h"
+#include "daemon/cli/white_balance_option.h"
 #include "daemon/config.h"
 
 namespace omnihdr {
@@ -27,6 +29,7 @@ struct ProcessArguments {
   std::string exr_type;
   std::string weights;
   std::string nan;
+  std::vector<double> white_balance;
   bool no_refine = false;
   int width = 0;
   int workers = 0;
@@ -53,6 +56,9 @@ Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
   if (arguments.nan == "never") options.nan = NanPixels::kNever;
   if (arguments.nan == "no-data") options.nan = NanPixels::kNoData;
   if (arguments.nan == "unmeasured") options.nan = NanPixels::kUnmeasured;
+  if (!arguments.white_balance.empty()) {
+    OMNIHDR_ASSIGN(options.white_balance, WhiteBalanceOf(arguments.white_balance));
+  }
   if (arguments.no_refine) options.refine_exposure = false;
   if (arguments.width != 0) options.output_width = arguments.width;
   return options;
@@ -190,6 +196,8 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
                    "never, no-data or unmeasured: pixels that are NaN instead of an estimate "
                    "(output.nan)")
       ->check(CLI::IsMember({"never", "no-data", "unmeasured"}));
+  AddWhiteBalanceOption(command, "gains on R,G,B, as in 1.9,1,1.4 (photometry.white_balance)",
+                        &arguments->white_balance);
   command->add_flag("--no-refine", arguments->no_refine,
                     "take exposure times as labelled (photometry.refine_exposure)");
   command->add_option("--width", arguments->width, "width of the output pictures (output.width)")

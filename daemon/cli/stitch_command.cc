@@ -24,6 +24,7 @@
 #include "daemon/cli/exposed_image.h"
 #include "daemon/cli/grid_option.h"
 #include "daemon/cli/stitch_inputs.h"
+#include "daemon/cli/white_balance_option.h"
 
 namespace omnihdr {
 namespace {
@@ -165,7 +166,10 @@ Status WritePanorama(const StitchArguments& arguments, const SphereGrid& grid,
 }
 
 Result<int> Stitch(const StitchArguments& arguments) {
-  OMNIHDR_ASSIGN(const auto balance, WhiteBalanceOf(arguments.white_balance));
+  std::array<double, 3> balance = {1.0, 1.0, 1.0};
+  if (!arguments.white_balance.empty()) {
+    OMNIHDR_ASSIGN(balance, WhiteBalanceOf(arguments.white_balance));
+  }
   OMNIHDR_ASSIGN(StitchInputs inputs, ReadStitchInputs(arguments.inputs));
   for (RigSensor& sensor : inputs.rig.sensors) {
     for (std::size_t c = 0; c < 3; ++c) sensor.gain[c] *= balance[c];
@@ -249,11 +253,8 @@ void AddStitchCommand(CLI::App& app, CommandRun& run) {
           "how Bayer mosaics are interpolated: bilinear, or edge-aware: sharper and slower")
       ->check(CLI::IsMember({"bilinear", "edge-aware"}))
       ->capture_default_str();
-  command
-      ->add_option("--white-balance", arguments->white_balance,
-                   "gains on R,G,B beside the rig's, as in 1.9,1,1.4")
-      ->delimiter(',')
-      ->expected(3);
+  AddWhiteBalanceOption(command, "gains on R,G,B beside the rig's, as in 1.9,1,1.4",
+                        &arguments->white_balance);
   command->add_flag("--json", arguments->json, "print one JSON object instead of a table");
   command->callback([arguments, &run] { run = [arguments] { return Stitch(*arguments); }; });
 }

@@ -1,13 +1,13 @@
 // calibrate white-balance, sensors and vignetting, called as from the command line.
 #include <gtest/gtest.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <variant>
 #include <vector>
@@ -18,6 +18,7 @@
 #include "daemon/cli/calibrate_command.h"
 #include "tests/support/chart_scene.h"
 #include "tests/support/temporary_directory.h"
+#include "tests/unit/daemon/cli/run_command.h"
 
 namespace omnihdr {
 namespace {
@@ -35,24 +36,11 @@ class CalibratePictures : public ::testing::Test {
     ASSERT_TRUE(WriteFileAtomic(Path(name), *png));
   }
 
-  // The outcome of `omnihdr calibrate WORDS` and what it printed; an error of parsing is kUsage.
+  // The outcome of `omnihdr calibrate WORDS`.
   Result<int> Run(std::vector<std::string> words) {
-    CLI::App app("omnihdr");
-    CommandRun run;
-    for (const AddCommand add :
-         {AddCalibrateWhiteBalance, AddCalibrateSensors, AddCalibrateVignetting}) {
-      add(app, run);
-    }
-    std::reverse(words.begin(), words.end());
-    try {
-      app.parse(std::move(words));
-    } catch (const CLI::ParseError& error) {
-      return Fail(ErrorKind::kUsage, "{}", error.what());
-    }
-    ::testing::internal::CaptureStdout();
-    Result<int> result = run();
-    printed_ = ::testing::internal::GetCapturedStdout();
-    return result;
+    return testing::RunCommand(
+        {AddCalibrateWhiteBalance, AddCalibrateSensors, AddCalibrateVignetting}, std::move(words),
+        &printed_);
   }
 
   // A rig of `sensors` equal lenses for pictures of 480 × 360.
@@ -66,12 +54,26 @@ class CalibratePictures : public ::testing::Test {
       sensor.gain = {1.0, 1.5, 1.0};
       rig.sensors.push_back(sensor);
     }
-    ASSERT_TRUE(WriteFileAtomic(Path("rig.toml"), FormatRig(rig)));
+    ASSERT_TRUE(WriteFileAtomic(Path("rig.toml"), FormatRig(rig, kOwnersRemark)));
   }
 
+  bool RemarkIsKept() const {
+    const Result<std::string> text = ReadTextFile(Path("rig.toml"));
+    return text && text->starts_with("# " + std::string(kOwnersRemark));
+  }
+
+  static constexpr std::string_view kOwnersRemark = "Calibrated in May.";
   testing::TemporaryDirectory directory_;
   std::string printed_;
 };
+
+int Count(const std::string& text, const std::string& part) {
+  int count = 0;
+  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1)) {
+    ++count;
+  }
+  return count;
+}
 
 TEST_F(CalibratePictures, WhiteBalanceIsPrintedDrawnAndWrittenIntoTheRig) {
   ChartScene scene;
@@ -96,12 +98,13 @@ TEST_F(CalibratePictures, WhiteBalanceIsPrintedDrawnAndWrittenIntoTheRig) {
   ASSERT_TRUE(rig) << rig.error().message;
   EXPECT_NEAR(rig->sensors[0].gain[0], 1.5 / 0.6, 0.03);
   EXPECT_NEAR(rig->sensors[0].gain[1], 1.5, 1e-12);
+  EXPECT_TRUE(RemarkIsKept());
 }
 
 TEST_F(CalibratePictures, SensorsAreComparedInStackedBayerFrames) {
   WriteRig(3, BayerOrder::kGrbg);
-  std::vector<std::string> words = {"sensors", "--json",     "--rig", Path("rig.toml"),
-                                    "--apply", "--response", "linear"};
+  std::vector<std::string> words = {"sensors",    "--json", "--rig",  Path("rig.toml"), "--apply",
+                                    "--response", "linear", "--plot", Path("plot.svg")};
   const std::array<double, 2> sensitivity = {1.0, 0.9};
   for (int e = 0; e < 3; ++e) {
     // Sensor c looks at a wall without a chart.
@@ -132,6 +135,23 @@ TEST_F(CalibratePictures, SensorsAreComparedInStackedBayerFrames) {
   EXPECT_GT(report["sensors"][0]["mean_r_squared"][1].get<double>(), 0.999);
   EXPECT_NEAR(report["worst_difference"][1].get<double>(), 0.0526, 0.01);
   EXPECT_LT(report["worst_difference_after"][1].get<double>(), 0.02);
+  // A dot for every usable grey patch of a picture and for every patch's line, and the legends'.
+  const Result<std::string> plot = ReadTextFile(Path("plot.svg"));
+  ASSERT_TRUE(plot) << plot.error().message;
+  int dots = 2;
+  for (const nlohmann::json& sensor : report["sensors"]) {
+    for (const nlohmann::json& patch : sensor["patches"]) {
+      const nlohmann::json& lines = patch["linearity"];
+      if (patch["patch"] > kChartFirstGrey) dots += lines[1]["points"].get<int>();
+      dots +=
+          lines[0].contains("slope") || lines[1].contains("slope") || lines[2].contains("slope");
+    }
+  }
+  EXPECT_GT(dots, 70);
+  EXPECT_EQ(Count(*plot, "<circle"), dots);
+  for (const char* text : {">a</text>", ">b</text>", ">proportional</text>"}) {
+    EXPECT_GT(Count(*plot, text), 0) << text;
+  }
   const Result<Rig> rig = ReadRig(Path("rig.toml"));
   ASSERT_TRUE(rig) << rig.error().message;
   const auto& a = rig->sensors[0].gain;
@@ -139,6 +159,7 @@ TEST_F(CalibratePictures, SensorsAreComparedInStackedBayerFrames) {
   EXPECT_NEAR(b[1] / a[1], 1.0 / 0.9, 0.01);
   EXPECT_NEAR(a[0] / a[1], 1.0 / 0.6, 0.02);
   EXPECT_NEAR(rig->sensors[2].gain[1], 1.5, 1e-12);  // saw no chart: untouched
+  EXPECT_TRUE(RemarkIsKept());
 }
 
 TEST_F(CalibratePictures, AFlatFieldsFalloffIsWrittenIntoTheRig) {
@@ -165,6 +186,7 @@ TEST_F(CalibratePictures, AFlatFieldsFalloffIsWrittenIntoTheRig) {
   for (const double rho : {0.3, 0.6, 1.0}) {
     EXPECT_NEAR(rig->sensors[0].vignetting.At(rho), 1.0 - 0.3 * rho * rho, 0.01) << rho;
   }
+  EXPECT_TRUE(RemarkIsKept());
 }
 
 TEST_F(CalibratePictures, WhatIsWrongOnTheCommandLineIsNamed) {
