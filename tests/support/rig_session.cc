@@ -6,6 +6,7 @@
 #include <string>
 
 #include "core/image/image_io.h"
+#include "core/session/journal.h"
 #include "core/session/rig_file.h"
 #include "core/session/session_reader.h"
 #include "tests/support/ring.h"
