@@ -453,12 +453,30 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(pipeline.options.max_parallax_deg)));
   add(Whole("stereo.neighbours", "a whole number", 1, 2,
             OMNIHDR_MEMBER(pipeline.options.neighbours)));
+  add(Choice("stereo.cost",
+             std::vector{StereoCost::kInterval, StereoCost::kRadiometric, StereoCost::kCensus,
+                         StereoCost::kMutualInformation},
+             OMNIHDR_MEMBER(pipeline.options.cost)));
+  add(Choice("stereo.fusion",
+             std::vector{StereoFusion::kVotes, StereoFusion::kCrossCheck, StereoFusion::kStability},
+             OMNIHDR_MEMBER(pipeline.options.fusion)));
+  add(Choice("stereo.filter", std::vector{StereoFilter::kNone, StereoFilter::kWavelet},
+             OMNIHDR_MEMBER(pipeline.options.filter)));
+  add(Choice("stereo.fill", std::vector{StereoFill::kRims, StereoFill::kSuperpixels},
+             OMNIHDR_MEMBER(pipeline.options.fill)));
+  add(Switch("stereo.sky", OMNIHDR_MEMBER(pipeline.options.sky)));
 
   add(Number("pose.min_baseline_ratio", "a ratio", 0, 0.5,
              OMNIHDR_MEMBER(pipeline.options.min_baseline_ratio)));
 
   add(Number("merge.consistency_sigma", "decades", 0.001, 10,
              OMNIHDR_MEMBER(pipeline.options.consistency_sigma)));
+  add(Whole("merge.neighbours", "a whole number", 1, 2,
+            OMNIHDR_MEMBER(pipeline.options.merge_neighbours)));
+  add(Choice("merge.weights", std::vector{MergeWeights::kInverseVariance, MergeWeights::kHat},
+             OMNIHDR_MEMBER(pipeline.options.merge_weights)));
+  add(Switch("merge.consistency", OMNIHDR_MEMBER(pipeline.options.consistency)));
+  add(Switch("merge.occlusion", OMNIHDR_MEMBER(pipeline.options.occlusion)));
   return keys;
 }
 

@@ -1,5 +1,9 @@
 #include "core/pipeline/options.h"
 
+#include <fmt/format.h>
+
+#include <string_view>
+
 namespace omnihdr {
 namespace {
 
@@ -45,7 +49,45 @@ Status PipelineOptions::Validate() const {
   OMNIHDR_TRY(InRange("stereo.neighbours", neighbours, 1, 2));
   OMNIHDR_TRY(InRange("pose.min_baseline_ratio", min_baseline_ratio, 0, 0.5));
   OMNIHDR_TRY(InRange("merge.consistency_sigma", consistency_sigma, 0.001, 10));
+  OMNIHDR_TRY(InRange("merge.neighbours", merge_neighbours, 1, 2));
   return {};
+}
+
+PipelineOptions PipelineOptions::Thesis() {
+  PipelineOptions options;
+  options.weights = MergeWeights::kHat;
+  options.refine_exposure = false;
+  options.neighbours = 1;
+  options.cost = StereoCost::kRadiometric;
+  options.fusion = StereoFusion::kStability;
+  options.filter = StereoFilter::kWavelet;
+  options.fill = StereoFill::kSuperpixels;
+  options.sky = true;
+  options.merge_neighbours = 1;
+  options.merge_weights = MergeWeights::kHat;
+  options.consistency = false;
+  options.occlusion = false;
+  return options;
+}
+
+std::string DescribeMethods(const PipelineOptions& options) {
+  const PipelineOptions ours;
+  std::string text;
+  const auto tell = [&text](std::string_view name, std::string_view value) {
+    text += fmt::format("{}{} = {}", text.empty() ? "" : ", ", name, value);
+  };
+  if (options.cost != ours.cost) tell("stereo.cost", ToString(options.cost));
+  if (options.fusion != ours.fusion) tell("stereo.fusion", ToString(options.fusion));
+  if (options.filter != ours.filter) tell("stereo.filter", ToString(options.filter));
+  if (options.fill != ours.fill) tell("stereo.fill", ToString(options.fill));
+  if (options.sky) tell("stereo.sky", "true");
+  if (options.merge_neighbours != ours.merge_neighbours) {
+    tell("merge.neighbours", std::to_string(options.merge_neighbours));
+  }
+  if (options.merge_weights != ours.merge_weights) tell("merge.weights", "hat");
+  if (!options.consistency) tell("merge.consistency", "false");
+  if (!options.occlusion) tell("merge.occlusion", "false");
+  return text;
 }
 
 }  // namespace omnihdr

@@ -9,6 +9,7 @@
 #include "core/photometry/merge_rows.h"
 #include "core/photometry/noise_model.h"
 #include "core/photometry/tonemap.h"
+#include "core/stereo/methods.h"
 
 namespace omnihdr {
 
@@ -62,6 +63,11 @@ struct PipelineOptions {
   int labels = 96;                 // inverse-distance hypotheses
   double max_parallax_deg = 45.0;  // largest parallax between neighbouring positions searched for
   int neighbours = 2;              // positions on each side that take part (1 or 2)
+  StereoCost cost = StereoCost::kInterval;
+  StereoFusion fusion = StereoFusion::kVotes;
+  StereoFilter filter = StereoFilter::kNone;  // of the fused map, before it is filled
+  StereoFill fill = StereoFill::kRims;
+  bool sky = false;  // whether superpixels the colour of the sky are put at infinity
   // [pose]
   double min_baseline_ratio =
       0.002;  // below this (baseline over median distance) a pair is a pure rotation
@@ -69,7 +75,23 @@ struct PipelineOptions {
   // log10 disagreement with the own view, beyond noise and misregistration, at which another view's
   // sample counts half
   double consistency_sigma = 0.03;
+  int merge_neighbours = 2;  // positions on each side whose pixels are taken (1 or 2)
+  // Weights of the positions against each other; those of one position's exposures: `weights`.
+  MergeWeights merge_weights = MergeWeights::kInverseVariance;
+  bool consistency = true;  // whether samples count by their agreement with the own view
+  bool occlusion = true;    // whether hidden samples are left out
   Status Validate() const;  // kConfig error naming the option and its range
+
+  // The method of Zhou's thesis (2014) as far as this program has its parts: two neighbours, the
+  // radiometrically adjusted and gradient cost, stability fusion of cross-checked maps, wavelet
+  // filter, superpixels, sky model, and a merge by backward warp with hat weights that asks neither
+  // for agreement nor for occlusion. config/thesis.toml says the same. In place of its multi-scale
+  // matching stands semi-global matching.
+  static PipelineOptions Thesis();
 };
+
+// The methods of matching and merging that are not the default, as "stereo.cost = census,
+// merge.occlusion = false"; "" when all are. view.json tells it (resume.methods).
+std::string DescribeMethods(const PipelineOptions& options);
 
 }  // namespace omnihdr

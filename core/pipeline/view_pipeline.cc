@@ -7,7 +7,11 @@
 #include <numbers>
 
 #include "core/stereo/fuse.h"
+#include "core/stereo/pairwise_costs.h"
+#include "core/stereo/stability.h"
+#include "core/stereo/superpixel_fill.h"
 #include "core/stereo/sweep.h"
+#include "core/stereo/wavelet_filter.h"
 
 namespace omnihdr {
 namespace {
@@ -16,6 +20,7 @@ namespace {
 constexpr std::size_t kLookahead = 2;
 // A prepared stereo view is made anew when its pose has been corrected by more than this.
 constexpr double kStaleRotation = 5e-4;
+constexpr double kLeastSkyShare = 0.5;  // of a superpixel that is taken for sky
 
 class Stopwatch {
  public:
@@ -128,8 +133,54 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
   sweep.labels = options_.labels;
   sweep.max_disparity = SearchLimit(index, indices);
   const StereoView& reference = StereoViewOf(index);
-  const CostVolume volume = SweepCosts(reference, neighbours, sweep);
+  const CostVolume volume = MatchingCosts(options_.cost, reference, neighbours, sweep);
   return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
+}
+
+DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t>& brightness) {
+  const Slot& slot = slots_[index];
+  std::vector<NeighbourMap> maps;
+  std::shared_ptr<DisparityMap> ahead;
+  for (const std::size_t n : Neighbours(index, options_.neighbours)) {
+    const DisparityMap* map = slots_[n].raw.get();
+    if (n == index + 1) {
+      ahead = MatchSlot(n);  // provisional: its own later neighbours are not there yet
+      map = ahead.get();
+    }
+    if (map == nullptr) continue;
+    maps.push_back(
+        {map, OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera)
+                  .cast<float>()});
+  }
+  const double tolerance =
+      1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) / (options_.labels - 1);
+  DisparityMap fused;
+  switch (options_.fusion) {
+    case StereoFusion::kVotes: {
+      FuseOptions fuse;
+      fuse.tolerance = tolerance;
+      fused = FuseDisparity(*slot.raw, maps, fuse);
+      break;
+    }
+    case StereoFusion::kCrossCheck:
+      fused = CrossCheck(*slot.raw, maps, {.tolerance = tolerance});
+      break;
+    case StereoFusion::kStability:
+      fused = FuseCrossChecked(*slot.raw, maps, {.tolerance = tolerance});
+      break;
+  }
+  if (options_.filter == StereoFilter::kWavelet) {
+    FilterWavelet({.tolerance = tolerance}, &fused);
+  }
+  if (options_.sky || options_.fill == StereoFill::kSuperpixels) {
+    const Image<float> radiance = MapRadiance(
+        slot.input.measurement, slot.pose.world_from_camera.rotation, fused.disparity.width());
+    const Superpixels superpixels = FindSuperpixels(LogColours(radiance, scale_), SlicOptions{});
+    if (options_.fill == StereoFill::kSuperpixels) FillSuperpixels(superpixels, &fused);
+    if (options_.sky) PutSkyAtInfinity(superpixels, FindSky(radiance), kLeastSkyShare, &fused);
+  }
+  if (options_.fill == StereoFill::kRims) FillHoles(brightness, FillOptions{}, &fused);
+  return fused;
 }
 
 FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
@@ -149,25 +200,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   }
   Image<std::uint8_t> brightness;
   if (slot.raw != nullptr && view.made) {
-    std::vector<NeighbourMap> maps;
-    std::shared_ptr<DisparityMap> ahead;
-    for (const std::size_t n : Neighbours(index, options_.neighbours)) {
-      const DisparityMap* map = slots_[n].raw.get();
-      if (n == index + 1) {
-        ahead = MatchSlot(n);  // provisional: its own later neighbours are not there yet
-        map = ahead.get();
-      }
-      if (map == nullptr) continue;
-      maps.push_back(
-          {map, OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera)
-                    .cast<float>()});
-    }
-    FuseOptions fuse;
-    fuse.tolerance =
-        1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) / (options_.labels - 1);
-    slot.fused = std::make_shared<DisparityMap>(FuseDisparity(*slot.raw, maps, fuse));
     brightness = MapBrightness(StereoViewOf(index));
-    FillHoles(brightness, FillOptions{}, slot.fused.get());
+    slot.fused = std::make_shared<DisparityMap>(RefineMap(index, brightness));
   }
   view.stereo_s = stereo_time.Seconds();
 
@@ -183,7 +217,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
 
   const Stopwatch merge_time;
   std::vector<MergeSource> others;
-  for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) {
+  for (const std::size_t n : Neighbours(index, options_.merge_neighbours)) {
     const Slot& other = slots_[n];
     // Another place without a disparity to reach it through would only ghost.
     const double baseline =
@@ -205,6 +239,9 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   const std::vector<std::size_t> next_to = Neighbours(index, 1);
   merge.refine_exposure = options_.refine_exposure && next_to.size() == 2;
   merge.refine_limit = static_cast<float>(options_.refine_limit);
+  merge.weights = options_.merge_weights;
+  merge.consistency = options_.consistency;
+  merge.occlusion = options_.occlusion;
   const int width = options_.output_width != 0
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
@@ -262,6 +299,9 @@ std::string ViewPipeline::SaveState(PositionId after) const {
   state["lowest_floor"] = lowest_floor_;
   state["brightest"] = brightest_;
   state["poses"] = nlohmann::json::parse(tracker_->SaveState(), nullptr, false);
+  if (const std::string methods = DescribeMethods(options_); !methods.empty()) {
+    state["methods"] = methods;
+  }
   return state.dump();
 }
 
@@ -272,6 +312,13 @@ Status ViewPipeline::Restore(const std::string& resume_json) {
       !state["brightest"].is_number()) {
     return Fail(ErrorKind::kData,
                 "resume state: not an object with lowest_floor, brightest, poses");
+  }
+  const std::string methods = state.contains("methods") && state["methods"].is_string()
+                                  ? state["methods"].get<std::string>()
+                                  : std::string();
+  if (const std::string expected = DescribeMethods(options_); methods != expected) {
+    return Fail(ErrorKind::kConfig, "resume state: made with methods \"{}\", expected \"{}\"",
+                methods, expected);
   }
   OMNIHDR_TRY(tracker_->RestoreState(state["poses"].dump()));
   lowest_floor_ = state["lowest_floor"].get<float>();

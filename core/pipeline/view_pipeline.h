@@ -89,6 +89,8 @@ class ViewPipeline {
   std::vector<std::size_t> Neighbours(std::size_t index, int reach) const;
   // Null when the slot has no neighbour with a baseline.
   std::shared_ptr<DisparityMap> MatchSlot(std::size_t index);
+  // The slot's map with its neighbours' help, by the methods chosen: fused, filtered, filled.
+  DisparityMap RefineMap(std::size_t index, const Image<std::uint8_t>& brightness);
   double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;
   std::string SaveState(PositionId after) const;
 

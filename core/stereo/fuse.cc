@@ -180,16 +180,4 @@ void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options
   });
 }
 
-Image<std::uint8_t> MapBrightness(const StereoView& view) {
-  Image<std::uint8_t> brightness(view.width / 2, view.height / 2);
-  for (int y = 0; y < brightness.height(); ++y) {
-    const std::uint64_t* texels = view.row(2 * y + 1);
-    for (int x = 0; x < brightness.width(); ++x) {
-      const std::uint64_t t = texels[2 * x + 1];
-      brightness.at(x, y) = static_cast<std::uint8_t>(((t & 0xFFU) + ((t >> 16U) & 0xFFU)) / 2U);
-    }
-  }
-  return brightness;
-}
-
 }  // namespace omnihdr

@@ -44,7 +44,4 @@ struct FillOptions {
 void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options,
                DisparityMap* map);
 
-// Brightness (log code) of a stereo view at the pixel centres of its map.
-Image<std::uint8_t> MapBrightness(const StereoView& view);
-
 }  // namespace omnihdr

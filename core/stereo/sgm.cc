@@ -63,14 +63,9 @@ class Path {
   std::vector<std::uint16_t> b_;
 };
 
-// A reference pixel's brightness for edges: the mean of its two colour lanes' lower ends.
-int Brightness(std::uint64_t texel) {
-  return static_cast<int>((texel & 0xFFU) + ((texel >> 16U) & 0xFFU)) / 2;
-}
-
 }  // namespace
 
-DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& reference,
+DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8_t>& brightness,
                                 const SgmOptions& options) {
   const int width = volume.width;
   const int height = volume.height;
@@ -82,15 +77,6 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& refe
                           static_cast<std::size_t>(x)) *
                              static_cast<std::size_t>(labels);
   };
-  Image<std::uint8_t> brightness(width, height);
-  ParallelFor(height, 16, [&](int begin, int end) {
-    for (int y = begin; y < end; ++y) {
-      const std::uint64_t* texels = reference.row(2 * y + 1);
-      for (int x = 0; x < width; ++x) {
-        brightness.at(x, y) = static_cast<std::uint8_t>(Brightness(texels[2 * x + 1]));
-      }
-    }
-  });
   const auto large_penalty = [&](int x0, int y0, int x1, int y1) {
     const int edge = std::abs(brightness.at(x0, y0) - brightness.at(x1, y1));
     return std::max(options.least_large_penalty, options.large_penalty - 4 * edge);
@@ -156,6 +142,25 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& refe
     }
   });
   return map;
+}
+
+DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& reference,
+                                const SgmOptions& options) {
+  return OptimiseSemiGlobal(volume, MapBrightness(reference), options);
+}
+
+Image<std::uint8_t> MapBrightness(const StereoView& view) {
+  Image<std::uint8_t> brightness(view.width / 2, view.height / 2);
+  ParallelFor(brightness.height(), 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      const std::uint64_t* texels = view.row(2 * y + 1);
+      for (int x = 0; x < brightness.width(); ++x) {
+        const std::uint64_t t = texels[2 * x + 1];
+        brightness.at(x, y) = static_cast<std::uint8_t>(((t & 0xFFU) + ((t >> 16U) & 0xFFU)) / 2U);
+      }
+    }
+  });
+  return brightness;
 }
 
 }  // namespace omnihdr

@@ -27,5 +27,12 @@ struct DisparityMap {
 // neighbour.
 DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const StereoView& reference,
                                 const SgmOptions& options);
+// The same with the brightness of the map's pixels, in codes, to find the edges by.
+DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8_t>& brightness,
+                                const SgmOptions& options);
+
+// Brightness (log code) of a stereo view at the pixel centres of its map: the mean of the lower
+// ends of its two colour lanes.
+Image<std::uint8_t> MapBrightness(const StereoView& view);
 
 }  // namespace omnihdr

@@ -2,60 +2,24 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <memory>
-#include <numbers>
 
 #include "core/base/parallel_for.h"
 #include "core/base/simd.h"
-#include "core/sphere/fast_angle.h"
+#include "core/stereo/lattice.h"
 
 namespace omnihdr {
 namespace {
 
 constexpr int kPlanes = 8;    // bytes of a texel
 constexpr int kMaxViews = 5;  // reference and four neighbours
-constexpr int kBlock =
-    256;  // columns worked on at a time: everything stays in the first-level cache
+constexpr int kBlock = kSweepBlock;
 
 // One view's texels for a block of columns, byte by byte, and whether they say anything.
 struct Lanes {
   alignas(64) std::array<std::array<std::uint8_t, kBlock>, kPlanes> plane;
   alignas(64) std::array<std::uint8_t, kBlock> known;
 };
-
-struct RayBlock {
-  alignas(64) std::array<float, kBlock> x;
-  alignas(64) std::array<float, kBlock> y;
-  float z = 0.0F;  // one row of a lat-long map has one elevation
-};
-
-// Lattice index of where a neighbour sees the hypothesis: texel of (u − d·b).
-OMNIHDR_SIMD_CLONES
-void LatticeIndices(const RayBlock& u, const float* offset, float d, int lattice_width,
-                    int lattice_height, std::int32_t* index) {
-  constexpr float kPi = 3.14159265358979324F;
-  const float bx = d * offset[0];
-  const float by = d * offset[1];
-  const float vz = u.z - d * offset[2];
-  const float x_scale = static_cast<float>(lattice_width) / (2.0F * kPi);
-  const float y_scale = static_cast<float>(lattice_height) / kPi;
-  const std::int32_t stride = lattice_width + 1;
-  for (int i = 0; i < kBlock; ++i) {
-    const float vx = u.x[static_cast<std::size_t>(i)] - bx;
-    const float vy = u.y[static_cast<std::size_t>(i)] - by;
-    const float rho = std::sqrt(vx * vx + vy * vy);
-    const float column = (kPi - FastAtan2(vy, vx)) * x_scale;
-    const float row = FastAtan2(rho, vz) * y_scale;
-    index[i] =
-        static_cast<std::int32_t>(row + 0.5F) * stride + static_cast<std::int32_t>(column + 0.5F);
-  }
-}
-
-OMNIHDR_SIMD_CLONES
-void Gather(const std::uint64_t* texels, const std::int32_t* index, std::uint64_t* out) {
-  for (int i = 0; i < kBlock; ++i) out[i] = texels[index[i]];
-}
 
 OMNIHDR_SIMD_CLONES
 void Split(const std::uint64_t* texels, Lanes* lanes) {
@@ -110,14 +74,6 @@ void AddPair(const Lanes& a, const Lanes& b, const PairLimits& limits, std::uint
   }
 }
 
-OMNIHDR_SIMD_CLONES
-void Normalise(const std::uint16_t* sum, std::uint16_t multiplier, std::uint8_t* out) {
-  for (int i = 0; i < kBlock; ++i) {
-    out[i] = static_cast<std::uint8_t>((static_cast<std::uint32_t>(sum[i]) * multiplier + 32768U) >>
-                                       16U);
-  }
-}
-
 }  // namespace
 
 CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
@@ -141,12 +97,7 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
   const unsigned total_weight = std::max(1U, 2 * reference_pairs + other_pairs);
   const auto multiplier = static_cast<std::uint16_t>(std::min(65535U, 65536U / total_weight));
 
-  std::vector<std::array<float, 2>> cos_sin(static_cast<std::size_t>(volume.width));
-  for (int x = 0; x < volume.width; ++x) {
-    const double theta = std::numbers::pi - 2.0 * std::numbers::pi * (x + 0.5) / volume.width;
-    cos_sin[static_cast<std::size_t>(x)] = {static_cast<float>(std::cos(theta)),
-                                            static_cast<float>(std::sin(theta))};
-  }
+  const std::vector<std::array<float, 2>> columns_of_map = ColumnDirections(volume.width);
 
   ParallelFor(volume.height, 1, [&](int row_begin, int row_end) {
     struct Scratch {
@@ -159,17 +110,12 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
     const auto scratch = std::make_unique<Scratch>();
     std::vector<std::uint8_t> by_label(static_cast<std::size_t>(volume.labels) * kBlock);
     for (int y = row_begin; y < row_end; ++y) {
-      const double phi = std::numbers::pi * (y + 0.5) / volume.height;
-      const auto sin_phi = static_cast<float>(std::sin(phi));
-      scratch->ray.z = static_cast<float>(std::cos(phi));
       const std::uint64_t* reference_row = reference.row(2 * y + 1);
       for (int x0 = 0; x0 < volume.width; x0 += kBlock) {
         const int columns = std::min(kBlock, volume.width - x0);
+        FillRays(columns_of_map, x0, y, volume.height, &scratch->ray);
         for (int i = 0; i < kBlock; ++i) {
           const int x = std::min(x0 + i, volume.width - 1);
-          const auto& [c, s] = cos_sin[static_cast<std::size_t>(x)];
-          scratch->ray.x[static_cast<std::size_t>(i)] = sin_phi * c;
-          scratch->ray.y[static_cast<std::size_t>(i)] = sin_phi * s;
           scratch->texels[static_cast<std::size_t>(i)] = reference_row[2 * x + 1];
         }
         Split(scratch->texels.data(), &scratch->lanes[0]);
@@ -180,27 +126,23 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
             const SweepNeighbour& neighbour = neighbours[n - 1];
             LatticeIndices(scratch->ray, neighbour.offset.data(), d, neighbour.view->width,
                            neighbour.view->height, scratch->index.data());
-            Gather(neighbour.view->texels.data(), scratch->index.data(), scratch->texels.data());
+            GatherTexels(neighbour.view->texels.data(), scratch->index.data(),
+                         scratch->texels.data());
             Split(scratch->texels.data(), &scratch->lanes[n]);
             for (std::size_t m = 0; m < n; ++m) {
               AddPair(scratch->lanes[m], scratch->lanes[n], limits, m == 0 ? 2 : 1,
                       scratch->sum.data());
             }
           }
-          Normalise(scratch->sum.data(), multiplier,
-                    by_label.data() + static_cast<std::size_t>(label) * kBlock);
+          NormaliseSums(scratch->sum.data(), multiplier,
+                        by_label.data() + static_cast<std::size_t>(label) * kBlock);
         }
         // Label fastest, as the optimiser walks it.
         std::uint8_t* out = volume.cost.data() +
                             (static_cast<std::size_t>(y) * static_cast<std::size_t>(volume.width) +
                              static_cast<std::size_t>(x0)) *
                                 static_cast<std::size_t>(volume.labels);
-        for (int i = 0; i < columns; ++i) {
-          for (int label = 0; label < volume.labels; ++label) {
-            *out++ =
-                by_label[static_cast<std::size_t>(label) * kBlock + static_cast<std::size_t>(i)];
-          }
-        }
+        StoreLabelFastest(by_label.data(), columns, volume.labels, out);
       }
     }
   });

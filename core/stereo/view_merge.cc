@@ -270,6 +270,7 @@ Image<float> NearestSurface(const DisparityMap& reference, const MergeSource& so
 struct Sample {
   std::array<float, 3> radiance{};
   std::array<float, 3> variance{};
+  std::array<float, 3> hat{};  // weights in place of the inverse variance, when asked for
   std::uint8_t flags = kMasked;
   bool usable = false;  // no channel saturated, not masked
   bool hidden = false;  // behind something nearer, if the disparity maps are right
@@ -311,6 +312,18 @@ class WellExposed {
   float low_;
   float high_;
 };
+
+constexpr float kLeastHat = 1e-3F;
+constexpr float kDarkWeight = 1e-6F;  // counts only where there is nothing else
+
+// Thesis eq. 2.5 of each channel's value, as its share of the one that saturates.
+void SetHatWeights(const Measurement& m, const std::array<float, 3>& raw, Sample* s) {
+  for (std::size_t c = 0; c < 3; ++c) {
+    const float value = raw[c] / m.saturation[c];
+    const bool is_dark = (s->flags & kDarkAny) != 0;
+    s->hat[c] = is_dark ? kDarkWeight : std::max(std::min(value, 1.0F - value), kLeastHat);
+  }
+}
 
 std::optional<float> Median(std::vector<float> values) {
   constexpr std::size_t kLeast = 1000;
@@ -397,6 +410,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   const LatLongGrid map_grid(map != nullptr ? map->disparity.width() : 2,
                              map != nullptr ? map->disparity.height() : 1);
 
+  const float occlusion_tolerance =
+      options.occlusion ? options.occlusion_tolerance : std::numeric_limits<float>::infinity();
   const float relative_tolerance =
       options.consistency_log10 * std::numbers::ln10_v<float> / kHalfTrustSigmas;
 
@@ -417,6 +432,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     }
     return s;
   };
+  const bool by_hat = options.weights == MergeWeights::kHat;
 
   const float cells_per_pixel_x =
       static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
@@ -444,7 +460,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           }
           float px = 0.0F;
           float py = 0.0F;
-          if (Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py) !=
+          if (Locate(source, map_grid, ray, d.disparity, occlusion_tolerance, &px, &py) !=
               Sight::kVisible) {
             continue;
           }
@@ -475,9 +491,11 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           residuals.push_back({cell, ratio, (noise + contrast * contrast) / (theirs_y * theirs_y)});
         }
       }
+      if (!options.consistency) residuals.clear();  // a field of ones
       source.agreement.Fit(residuals);
       source.exposure_ratio = Median(std::move(exposure_ratios));
       source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
+      if (!options.consistency) continue;
       for (int by = 0; by < blocks_y; ++by) {
         for (int bx = 0; bx < blocks_x; ++bx) {
           const BlockSums& b =
@@ -504,6 +522,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
         const RadianceSample own_raw = own_sampler.Sample(own_from_world * ray);
         samples[0] = make_sample(own, own_raw);
+        if (by_hat) SetHatWeights(own, own_raw.rgb, &samples[0]);
         const Sample& mine = samples[0];
         const bool own_is_clipped =
             (mine.flags & kMasked) == 0 && (mine.flags & kSaturatedAny) != 0;
@@ -531,7 +550,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           float px = 0.0F;
           float py = 0.0F;
           const Sight sight =
-              Locate(source, map_grid, ray, d.disparity, options.occlusion_tolerance, &px, &py);
+              Locate(source, map_grid, ray, d.disparity, occlusion_tolerance, &px, &py);
           // What a disparity map calls hidden is asked only where this view itself does not know.
           if (sight == Sight::kUnknown || (sight == Sight::kHidden && !own_is_clipped)) continue;
           const RadianceSample raw = source.sampler->SampleAt(px, py);
@@ -553,12 +572,13 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
               s.variance[c] += contrast * contrast + relative * s.radiance[c] * s.radiance[c];
             }
           }
+          if (by_hat) SetHatWeights(*source.measurement, raw.rgb, &s);
           samples[count++] = s;
         }
 
         // How well each other sample agrees with what this view itself saw, as an interval per
         // channel.
-        if ((mine.flags & kMasked) == 0) {
+        if (options.consistency && (mine.flags & kMasked) == 0) {
           for (std::size_t k = 1; k < count; ++k) {
             Sample& s = samples[k];
             if (!s.usable) continue;
@@ -604,7 +624,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             const Sample& s = samples[k];
             if (!s.usable) continue;
             for (std::size_t c = 0; c < 3; ++c) {
-              const float w = s.trust / s.variance[c];
+              const float w = by_hat ? s.trust * s.hat[c] : s.trust / s.variance[c];
               signal[c] += w * s.radiance[c];
               signal_weight[c] += w;
             }
@@ -612,7 +632,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           }
           for (std::size_t c = 0; c < 3; ++c) {
             out[c] = signal[c] / signal_weight[c];
-            if ((mine.flags & kSaturatedBit[c]) != 0) out[c] = std::max(out[c], mine.radiance[c]);
+            if (options.consistency && (mine.flags & kSaturatedBit[c]) != 0) {
+              out[c] = std::max(out[c], mine.radiance[c]);
+            }
           }
           view.origin.at(x, y) =
               static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);

@@ -6,6 +6,7 @@
 
 #include "core/image/image.h"
 #include "core/photometry/measurement.h"
+#include "core/photometry/merge_rows.h"
 #include "core/sphere/pose.h"
 #include "core/stereo/sgm.h"
 
@@ -33,6 +34,14 @@ struct MergeOptions {
                                     // misregistration, at which a sample counts half
   float block_error = 0.02F;  // relative error of a block's mean that still counts as agreement
   float occlusion_tolerance = 0.05F;  // relative: a surface nearer by more hides the sample
+  // How samples are weighed against each other: by variance, or by the hat over each sample's value
+  // (its share of the radiance that saturates), dark ones only where nothing better exists.
+  MergeWeights weights = MergeWeights::kInverseVariance;
+  // Whether samples count by how well they agree with what the reference saw, and the views'
+  // radiance is brought to the reference's. Without, every sample that is not saturated counts, as
+  // in the thesis (5.2.2).
+  bool consistency = true;
+  bool occlusion = true;  // whether what something nearer hides in another view is left out
   // Whether the reference's exposure label is tested against its neighbours; the largest relative
   // correction. See MergedView::exposure.
   bool refine_exposure = true;

@@ -106,6 +106,26 @@ TEST(ConfigFile, DemoTomlIsTheDemonstrationsVehicle) {
   EXPECT_NEAR((exposures[2] - exposures[1]).value, 1.6, 1e-12);
 }
 
+TEST(ConfigFile, ThesisTomlIsTheThesisOfThePipelineOptions) {
+  const LoadedConfig loaded = LoadConfig(kConfigFolder / "thesis.toml");
+  for (const ConfigProblem& problem : loaded.problems) ADD_FAILURE() << problem.ToString();
+  DaemonConfig expected;
+  expected.pipeline.options = PipelineOptions::Thesis();
+  for (const std::string& key : ConfigKeyNames()) {
+    EXPECT_EQ(Value(loaded.config, key), Value(expected, key)) << key;
+  }
+}
+
+TEST(Config, AStereoMethodThatDoesNotExistIsRefusedWithThoseThatDo) {
+  const LoadedConfig loaded = ParseConfig("[stereo]\ncost = \"ncc\"\n", "omnihdr.toml");
+  ASSERT_EQ(loaded.problems.size(), 1U);
+  const std::string text = loaded.problems[0].ToString();
+  EXPECT_NE(text.find("stereo.cost"), std::string::npos) << text;
+  EXPECT_NE(text.find("\"interval\", \"radiometric\", \"census\" or \"mutual-information\""),
+            std::string::npos)
+      << text;
+}
+
 TEST(Config, AnEmptyFileGivesTheDefaults) {
   const LoadedConfig loaded = ParseConfig("", "omnihdr.toml");
   EXPECT_TRUE(loaded.ok());

@@ -1,0 +1,96 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/stereo/view_merge.h"
+#include "tests/unit/core/stereo/drive.h"
+
+namespace omnihdr {
+namespace {
+
+constexpr int kWidth = 128;
+constexpr int kHeight = 64;
+
+// An even scene of radiance `e`, measured with an exposure that saturates at `saturation`.
+Measurement Even(float e, float saturation) {
+  Measurement m = testing::Perfect(Image<float>(kWidth, kHeight, 3, e),
+                                   Projection::Equirectangular(kWidth, kHeight));
+  m.saturation = {saturation, saturation, saturation};
+  return m;
+}
+
+// The method of the thesis: neither agreement nor occlusion is asked for.
+MergeOptions Plain(MergeWeights weights) {
+  MergeOptions options;
+  options.weights = weights;
+  options.consistency = false;
+  options.occlusion = false;
+  options.refine_exposure = false;
+  return options;
+}
+
+MergedView MergeAtOnePlace(const Measurement& own, const Measurement& other,
+                           const MergeOptions& options) {
+  return MergeViews({&own, Pose{}, nullptr}, nullptr, nullptr, {{&other, Pose{}, nullptr}},
+                    Eigen::Quaterniond::Identity(), kWidth, options);
+}
+
+TEST(MergeWithHat, SamplesCountByHowFarTheirValueIsFromBothEnds) {
+  const Measurement own = Even(0.2F, 1.0F);     // hat 0.2
+  const Measurement other = Even(0.25F, 0.5F);  // hat 0.5
+  const MergedView view = MergeAtOnePlace(own, other, Plain(MergeWeights::kHat));
+  const float expected = (0.2F * 0.2F + 0.5F * 0.25F) / 0.7F;
+  EXPECT_NEAR(view.radiance.at(40, 30, 1), expected, 1e-4F);
+}
+
+TEST(MergeWithHat, DarkValuesCountOnlyWhereThereIsNothingElse) {
+  Measurement own = Even(0.2F, 1.0F);
+  for (std::uint8_t& f : own.flags.values()) f = kDarkAny;
+  const Measurement other = Even(0.25F, 0.5F);
+  EXPECT_NEAR(MergeAtOnePlace(own, other, Plain(MergeWeights::kHat)).radiance.at(40, 30, 1), 0.25F,
+              1e-4F);
+  EXPECT_NEAR(MergeAtOnePlace(own, own, Plain(MergeWeights::kHat)).radiance.at(40, 30, 1), 0.2F,
+              1e-4F);
+}
+
+TEST(MergeWithoutConsistency, WhatDisagreesIsAveragedIn) {
+  const Measurement own = Even(0.2F, 1.0F);
+  const Measurement other = Even(0.6F, 1.0F);  // something else stood there
+  EXPECT_NEAR(MergeAtOnePlace(own, other, Plain(MergeWeights::kHat)).radiance.at(40, 30, 1),
+              (0.2F * 0.2F + 0.4F * 0.6F) / 0.6F, 1e-4F);
+}
+
+TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
+  // Far surroundings and a near post; the other view is brighter everywhere.
+  DisparityMap map;
+  map.disparity = Image<float>(kWidth, kHeight, 1, 0.05F);
+  map.confidence = Image<float>(kWidth, kHeight, 1, 1.0F);
+  for (int y = 16; y < 48; ++y) {
+    for (int x = 28; x < 36; ++x) map.disparity.at(x, y) = 0.8F;
+  }
+  const Image<std::uint8_t> brightness(kWidth, kHeight, 1, 100);
+  const Measurement own = Even(0.2F, 1.0F);
+  const Measurement other = Even(0.6F, 1.0F);
+  Pose there;
+  there.translation = {0.3, 0.0, 0.0};
+  const auto untouched = [&](bool occlusion) {
+    MergeOptions options = Plain(MergeWeights::kHat);
+    options.occlusion = occlusion;
+    const MergedView view =
+        MergeViews({&own, Pose{}, nullptr}, &map, &brightness, {{&other, there, nullptr}},
+                   Eigen::Quaterniond::Identity(), kWidth, options);
+    int count = 0;
+    for (int y = 0; y < kHeight; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        count += std::abs(view.radiance.at(x, y, 1) - 0.2F) < 1e-4F ? 1 : 0;
+      }
+    }
+    return count;
+  };
+  EXPECT_GT(untouched(true), 50);
+  EXPECT_EQ(untouched(false), 0);
+}
+
+}  // namespace
+}  // namespace omnihdr
