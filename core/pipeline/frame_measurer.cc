@@ -84,11 +84,11 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
     }
   }
   const SphereGrid grid(measurer.projection_);
-  OMNIHDR_ASSIGN(const RigMasks masks, ReadRigMasks(rig, session, grid, mask, mask_name));
+  OMNIHDR_ASSIGN(RigMasks masks, ReadRigMasks(rig, session, grid, mask, mask_name));
   Result<Stitcher> stitcher = Stitcher::Create(std::move(rig), grid, masks.views());
   if (!stitcher) return Forward(std::move(stitcher).error(), rig_file.string());
   measurer.stitcher_.emplace(std::move(*stitcher));
-  measurer.mask_ = std::move(stacked);
+  measurer.mask_ = std::move(masks.sensors);
   return measurer;
 }
 

@@ -197,6 +197,14 @@ Result<SuiteScore> RunSuiteCase(const SuiteCase& drive, const PipelineOptions& o
   OMNIHDR_TRY(WriteRivalViews(session, Rival::kUnregistered, {}, options.output_width,
                               folder / "unregistered"));
   OMNIHDR_ASSIGN(score.unregistered, judge("unregistered"));
+  if (drive.simulate.simulation.layout != Layout::kRig) {  // hat weights know no mosaics
+    PipelineOptions thesis = PipelineOptions::Thesis();
+    thesis.output_width = options.output_width;
+    thesis.stereo_width = options.stereo_width;
+    thesis.labels = options.labels;
+    OMNIHDR_TRY(Process(session, folder / "thesis", thesis));
+    OMNIHDR_ASSIGN(score.thesis, judge("thesis"));
+  }
   score.checks = ChecksOf(score);
 
   ContactSheetOptions sheet;

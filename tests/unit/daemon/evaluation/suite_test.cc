@@ -41,6 +41,8 @@ TEST(Suite, ACaseIsSimulatedProcessedAndJudgedAgainstItsRivals) {
   ASSERT_TRUE(score->ours.mean && score->oracle.mean && score->unregistered.mean);
   EXPECT_EQ(score->ours.complete, 3);
   EXPECT_EQ(score->oracle.complete, 3);
+  ASSERT_TRUE(score->thesis.mean);
+  EXPECT_EQ(score->thesis.complete, 3);
   // True depth is known to the oracle alone, and blur is what no registration gives.
   EXPECT_LT(*score->oracle.mean->disparity_bad1, 0.02);
   EXPECT_GT(score->unregistered.mean->view_rmse, 1.3 * score->oracle.mean->view_rmse);
