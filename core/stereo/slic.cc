@@ -16,7 +16,8 @@ namespace {
 
 constexpr int kCandidates = 9;
 constexpr int kLargestSide = 512;  // of a cell, in pixels
-constexpr int kSums = 6;           // count, three channels, x, y
+constexpr int kSums = 6;           // count, three channels, x and y from the cell's corner
+constexpr int kLanes = 16;         // rows of a cell are worked on in whole vectors
 
 struct Centre {
   float x = 0.0F;  // in columns, not wrapped: near its own cell
@@ -57,7 +58,9 @@ class Clustering {
         centres_(static_cast<std::size_t>(columns_) * static_cast<std::size_t>(rows_)),
         sums_(centres_.size()),
         label_(width_, height_) {
-    for (std::size_t c = 0; c < 3; ++c) planes_.channel[c] = Image<std::uint8_t>(width_, height_);
+    for (std::size_t c = 0; c < 3; ++c) {
+      planes_.channel[c] = Image<std::uint8_t>(width_ + kLanes, height_);
+    }
     ParallelFor(height_, 32, [&](int begin, int end) {
       for (int y = begin; y < end; ++y) {
         for (int x = 0; x < width_; ++x) {
@@ -81,7 +84,7 @@ class Clustering {
     for (int k = 0; k < iterations; ++k) {
       ParallelFor(rows_, 1, [&](int begin, int end) {
         for (int cy = begin; cy < end; ++cy) {
-          for (int cx = 0; cx < columns_; ++cx) AssignCell(cx, cy);
+          for (int cx = 0; cx < columns_; ++cx) AssignCell(cx, cy, k + 1 < iterations);
         }
       });
       if (k + 1 == iterations) break;
@@ -127,15 +130,22 @@ class Clustering {
     }
   }
 
-  void AssignCell(int cx, int cy) {
+  void AssignCell(int cx, int cy, bool with_sums) {
     const int left = Left(cx);
     const int count = Left(cx + 1) - left;
+    const int padded = (count + kLanes - 1) / kLanes * kLanes;
     std::array<float, kLargestSide> least{};
     std::array<std::int32_t, kLargestSide> nearest{};
+    const int top = Top(cy);
+    std::array<std::int32_t, kCandidates> candidate_label{};
+    for (int k = 0; k < kCandidates; ++k) {
+      candidate_label[static_cast<std::size_t>(k)] =
+          static_cast<std::int32_t>(Index(cx + k % 3 - 1, std::max(0, cy + k / 3 - 1)));
+    }
     auto& sums = sums_[Index(cx, cy)];
     for (auto& s : sums) s.fill(0);
-    for (int y = Top(cy); y < Top(cy + 1); ++y) {
-      std::fill_n(least.begin(), count, std::numeric_limits<float>::max());
+    for (int y = top; y < Top(cy + 1); ++y) {
+      std::fill_n(least.begin(), padded, std::numeric_limits<float>::max());
       const std::array<const std::uint8_t*, 3> row = {planes_.channel[0].row(y) + left,
                                                       planes_.channel[1].row(y) + left,
                                                       planes_.channel[2].row(y) + left};
@@ -146,7 +156,7 @@ class Clustering {
         const Centre& centre = centres_[Index(nx, ny)];
         const int turn = nx < 0 ? -width_ : (nx >= columns_ ? width_ : 0);
         const float dy = static_cast<float>(y) - centre.y;
-        Compete(row[0], row[1], row[2], count,
+        Compete(row[0], row[1], row[2], padded,
                 static_cast<float>(left) - centre.x - static_cast<float>(turn),
                 x_weight_[static_cast<std::size_t>(y)], spatial_ * dy * dy, centre.colour[0],
                 centre.colour[1], centre.colour[2], k, least.data(), nearest.data());
@@ -154,14 +164,15 @@ class Clustering {
       std::int32_t* label = label_.row(y) + left;
       for (int i = 0; i < count; ++i) {
         const std::int32_t k = nearest[static_cast<std::size_t>(i)];
+        label[i] = candidate_label[static_cast<std::size_t>(k)];
+        if (!with_sums) continue;
         auto& s = sums[static_cast<std::size_t>(k)];
         s[0] += 1;
         s[1] += row[0][i];
         s[2] += row[1][i];
         s[3] += row[2][i];
         s[4] += i;
-        s[5] += y;
-        label[i] = static_cast<std::int32_t>(Index(cx + k % 3 - 1, cy + k / 3 - 1));
+        s[5] += y - top;
       }
     }
   }
@@ -179,6 +190,7 @@ class Clustering {
       const std::int64_t left = Left((nx + columns_) % columns_) + turn;
       for (std::size_t t = 0; t < kSums; ++t) total[t] += s[t];
       total[4] += s[0] * left;
+      total[5] += static_cast<std::int64_t>(s[0]) * Top(ny);
     }
     if (total[0] == 0) return;
     Centre& centre = centres_[Index(cx, cy)];
@@ -197,7 +209,7 @@ class Clustering {
   std::vector<float> x_weight_;  // of a squared step along each row
   std::vector<Centre> centres_;
   // Of each cell: what its pixels give to the nine centres around.
-  std::vector<std::array<std::array<std::int64_t, kSums>, kCandidates>> sums_;
+  std::vector<std::array<std::array<std::int32_t, kSums>, kCandidates>> sums_;
   Image<std::int32_t> label_;
 };
 
