@@ -12,6 +12,7 @@
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
 #include "core/photometry/measure.h"
+#include "core/pipeline/frame_measurer.h"
 #include "core/pipeline/rig_masks.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"

@@ -82,8 +82,8 @@ TEST(RigSession, ABracketTakenStandingStillBecomesARadiancePanorama) {
 
 TEST(RigSession, AnEdgeAwareMosaicIsNearerToTheScene) {
   const TemporaryDirectory directory;
-  WriteRigSession(directory.path(), testing::MakeRing({.sphere_radius_m = 4.0}), {Pose{}},
-                  {0.1, 0.5, 2.5}, 3);
+  testing::WriteRigSession(directory.path(), testing::MakeRing({.sphere_radius_m = 4.0}), Hall(),
+                           {Pose{}}, {0.1, 0.5, 2.5}, 3);
   const auto off = [&](Demosaic demosaic) {
     const TemporaryDirectory out;
     PipelineOptions options = testing::QuickOptions();

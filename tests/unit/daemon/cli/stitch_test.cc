@@ -430,7 +430,7 @@ TEST_F(StitchCommand, EveryBadInputHasItsMessage) {
   EXPECT_THAT(ErrorOf({all, "--seconds", "1", "--to", "fisheye"}, ErrorKind::kUsage),
               HasSubstr("fisheye"));
   EXPECT_THAT(ErrorOf({all, "--seconds", "1", "--white-balance", "1,1,99"}, ErrorKind::kUsage),
-              HasSubstr("--white-balance: 99"));
+              HasSubstr("--white-balance: 1,1,99"));
   EXPECT_THAT(ErrorOf({all, "--seconds", "1", "--mask", Path("all0.png")}, ErrorKind::kData),
               HasSubstr("all0.png: 128x96 pixels, expected the stacked frames' size 128x576 or a "
                         "lat-long picture"));
