@@ -423,7 +423,7 @@ void RefineWithPatches(const std::vector<FlatPatch>& patches, const SensorPictur
         }
       }
       if (found == nullptr) continue;
-      chart.emplace_back(patch % kChartColumns + 0.5, patch / kChartColumns + 0.5);
+      chart.push_back(PatchInChart(patch));
       pixels.push_back(found->centre);
       distances.push_back(nearest);
     }

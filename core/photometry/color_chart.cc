@@ -231,12 +231,13 @@ Eigen::Vector2d ChartGeometry::PixelFromChart(const Eigen::Vector2d& chart) cons
 }
 
 Eigen::Vector2d ChartGeometry::PatchCentre(int patch) const {
-  return PixelFromChart({patch % kChartColumns + 0.5, patch / kChartColumns + 0.5});
+  return PixelFromChart(PatchInChart(patch));
 }
 
 std::array<Eigen::Vector2d, 4> ChartGeometry::PatchSquare(int patch, double half) const {
-  const double u = patch % kChartColumns + 0.5;
-  const double v = patch / kChartColumns + 0.5;
+  const Eigen::Vector2d centre = PatchInChart(patch);
+  const double u = centre.x();
+  const double v = centre.y();
   return {PixelFromChart({u - half, v - half}), PixelFromChart({u + half, v - half}),
           PixelFromChart({u + half, v + half}), PixelFromChart({u - half, v + half})};
 }

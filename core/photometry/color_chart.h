@@ -18,6 +18,11 @@ namespace omnihdr {
 inline constexpr int kChartColumns = 6;
 inline constexpr int kChartRows = 4;
 inline constexpr int kChartPatches = kChartColumns * kChartRows;
+// The middle of a patch on the chart, whose patches are squares of side 1.
+inline Eigen::Vector2d PatchInChart(int patch) {
+  const int row = patch / kChartColumns;
+  return {patch % kChartColumns + 0.5, row + 0.5};
+}
 inline constexpr int kChartFirstGrey = 18;
 
 struct ChartPatchReference {

@@ -80,7 +80,7 @@ OMNIHDR_ALWAYS_INLINE void ExposeUsable(const T* values, const T* bright, std::i
   for (int i = 0; i < kLanes; ++i) {
     const std::int32_t z = values[i];
     const float e = z >= line.from ? (static_cast<float>(z) - line.black) * line.scale : line.below;
-    out[i] = (bright[i] == 0) & (z >= low) ? e : 0.0F;
+    out[i] = ((bright[i] == 0) & (z >= low)) ? e : 0.0F;
   }
 }
 
@@ -116,7 +116,7 @@ void ExposeUsedByTable(const T* values, const T* bright, std::int32_t low, const
                        float* __restrict out) {
   for (int i = 0; i < kLanes; ++i) {
     const float e = table[values[i]];
-    out[i] = (bright[i] == 0) & (values[i] >= low) ? e : 0.0F;
+    out[i] = ((bright[i] == 0) & (values[i] >= low)) ? e : 0.0F;
   }
 }
 

@@ -59,7 +59,7 @@ class RowMerger {
  private:
   struct Chunk;
 
-  void Read(std::size_t frame, int y, int x, int count);
+  void Read(std::size_t k, int y, int x, int count);
   void Combine(std::size_t channel);
   // A pixel of which some channel is measured by no frame.
   void MergeUnmeasured(int x, int y, float* rgb, std::uint8_t* flags) const;

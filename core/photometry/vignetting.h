@@ -84,7 +84,7 @@ struct OverlapFit {
 // ln gain(sensor), least squares with Huber's loss, the light of each direction eliminated (compare
 // Goldman 2010). `largest_rho`: per sensor, where its lens's image ends. Errors (kData): as above,
 // and sensors that no common direction links to the first.
-Result<OverlapFit> FitOverlaps(std::span<const OverlapSample> samples,
+Result<OverlapFit> FitOverlaps(std::span<const OverlapSample> input,
                                const std::vector<std::string>& names,
                                const std::vector<double>& largest_rho,
                                const OverlapOptions& options);

@@ -7,7 +7,7 @@
 // A response's members inside a larger file. Private to core/session.
 namespace omnihdr::json {
 
-Result<Response> ReadResponse(const ObjectReader& response);
+Result<Response> ReadResponse(const ObjectReader& json);
 ObjectWriter ResponseObject(const Response& response);
 
 }  // namespace omnihdr::json

@@ -122,7 +122,8 @@ void FillSuperpixels(const Superpixels& superpixels, DisparityMap* map) {
         for (const std::int32_t at : known) {
           int dx = std::abs(at % width - x);
           dx = std::min(dx, width - dx);
-          const auto dy = static_cast<float>(at / width - y);
+          const int rows = at / width - y;
+          const auto dy = static_cast<float>(rows);
           const float along = x_scale * static_cast<float>(dx);
           const float w = 1.0F / std::max(along * along + dy * dy, 1e-4F);
           sum += w * disparity[at];

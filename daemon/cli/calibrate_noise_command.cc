@@ -163,7 +163,8 @@ Result<int> Calibrate(const NoiseArguments& arguments) {
       if (!image) return Forward(image.error());
       images.push_back(std::move(*image));
     }
-    flats.push_back({&images[images.size() - 2], &images.back(), first + " and " + second});
+    flats.push_back(
+        {&images[images.size() - 2], &images.back(), fmt::format("{} and {}", first, second)});
   }
   OMNIHDR_ASSIGN(const NoiseCalibration noise, CalibrateNoise(flats, pairs.options));
   if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, Plots(noise)));

@@ -58,7 +58,7 @@ struct Charts {
 
 // The n-th overlay beside the first: chart.png, chart-2.png, ...
 std::filesystem::path OverlayFile(const std::string& file, std::size_t n) {
-  const std::filesystem::path path = file;
+  std::filesystem::path path = file;
   if (n == 0) return path;
   std::filesystem::path numbered = path.stem();
   numbered += fmt::format("-{}", n + 1);

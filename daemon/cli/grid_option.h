@@ -24,7 +24,7 @@ Result<SphereGrid> GridToWrite(SphereGridKind kind, int size, const SphereGrid& 
                                double z_min = -kCylinderZ, double z_max = kCylinderZ);
 
 // A file's attributes with those that tell the grid's projection, and no others of that kind.
-ExrAttributes AttributesFor(const SphereGrid& grid, ExrAttributes attributes);
+ExrAttributes AttributesFor(const SphereGrid& target, ExrAttributes attributes);
 
 // For people: "latlong 2048x1024".
 std::string Shown(const SphereGrid& grid);
