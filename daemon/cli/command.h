@@ -23,6 +23,7 @@ void AddProcessCommand(CLI::App& app, CommandRun& run);
 void AddMergeCommand(CLI::App& app, CommandRun& run);
 void AddCalibrateCommand(CLI::App& app, CommandRun& run);  // response, white-balance, ...
 void AddConvertCommand(CLI::App& app, CommandRun& run);
+void AddViewCommand(CLI::App& app, CommandRun& run);
 void AddReportCommand(CLI::App& app, CommandRun& run);
 void AddSimulateCommand(CLI::App& app, CommandRun& run);
 void AddEvaluateCommand(CLI::App& app, CommandRun& run);

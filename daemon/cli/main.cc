@@ -21,6 +21,7 @@ constexpr std::array kCommands = {
     AddCalibrateCommand,
     AddConvertCommand,
     AddReportCommand,
+    AddViewCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
     AddContactSheetCommand,

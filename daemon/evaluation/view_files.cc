@@ -13,8 +13,11 @@ Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId positi
   OMNIHDR_ASSIGN(view.record, ReadViewRecord(views, position));
   const std::filesystem::path directory = views / ViewDirectoryName(position);
   const std::filesystem::path radiance_path = directory / "radiance.exr";
-  OMNIHDR_ASSIGN(const ExrImage radiance, ReadExr(radiance_path));
+  OMNIHDR_ASSIGN(ExrImage radiance, ReadExr(radiance_path));
   OMNIHDR_ASSIGN(view.radiance, RadianceOf(radiance, radiance_path.string()));
+  if (const auto origin = radiance.channels.find("origin"); origin != radiance.channels.end()) {
+    view.origin = std::move(origin->second);
+  }
   const std::filesystem::path disparity_path = directory / "disparity.exr";
   std::error_code error;
   if (!std::filesystem::exists(disparity_path, error)) return view;

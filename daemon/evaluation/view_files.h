@@ -15,6 +15,7 @@ struct ViewFiles {
   Image<float> radiance;  // W×H×3
   Image<float>
       disparity;  // W×H×1, 1/metre or 1/baseline unit; empty when the view has none (temporal)
+  Image<float> origin;  // W×H×1, PixelOrigin
 };
 Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId position);
 
