@@ -234,6 +234,46 @@ Blended BlendSeen(const std::vector<Prepared>& sources, const Eigen::Vector3d& r
   return blended;
 }
 
+// A pixel missing among at least five that are known becomes their mean: no source's grid hit it.
+void CloseDots(SynthesizedView* view) {
+  const int width = view->disparity.width();
+  const int height = view->disparity.height();
+  struct Dot {
+    int x = 0;
+    int y = 0;
+    std::array<float, 4> value{};  // R, G, B, disparity
+  };
+  std::vector<std::vector<Dot>> dots(static_cast<std::size_t>(height));
+  ParallelFor(height, 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      for (int x = 0; x < width; ++x) {
+        if (!std::isnan(view->disparity.at(x, y))) continue;
+        Dot dot{x, y, {}};
+        float known = 0.0F;
+        for (int row = std::max(y - 1, 0); row <= std::min(y + 1, height - 1); ++row) {
+          for (int dx = -1; dx <= 1; ++dx) {
+            const int column = (x + dx + width) % width;
+            if (std::isnan(view->disparity.at(column, row))) continue;
+            const float* rgb = view->radiance.pixel(column, row);
+            for (std::size_t c = 0; c < 3; ++c) dot.value[c] += rgb[c];
+            dot.value[3] += view->disparity.at(column, row);
+            known += 1.0F;
+          }
+        }
+        if (known < 5.0F) continue;
+        for (float& v : dot.value) v /= known;
+        dots[static_cast<std::size_t>(y)].push_back(dot);
+      }
+    }
+  });
+  for (const std::vector<Dot>& row : dots) {
+    for (const Dot& dot : row) {
+      std::copy_n(dot.value.begin(), 3, view->radiance.pixel(dot.x, dot.y));
+      view->disparity.at(dot.x, dot.y) = dot.value[3];
+    }
+  }
+}
+
 Status CheckSources(std::span<const SynthesisSource> sources, const Pose& target, int width) {
   if (sources.empty()) return Fail(ErrorKind::kData, "no view to start from, expected one or more");
   if (width < 16 || width % 2 != 0) {
@@ -299,10 +339,10 @@ Result<SynthesizedView> SynthesizeView(std::span<const SynthesisSource> sources,
   SynthesizedView view;
   view.radiance = Image<float>(width, height, 3, kNaN);
   view.disparity = Image<float>(width, height, 1, kNaN);
-  std::vector<std::array<int, 3>> counts(static_cast<std::size_t>(height));  // holes, shown, hidden
+  std::vector<int> hidden(static_cast<std::size_t>(height));  // pixels of a row that one cannot see
   ParallelFor(height, 8, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
-      std::array<int, 3>& count = counts[static_cast<std::size_t>(y)];
+      int& hidden_here = hidden[static_cast<std::size_t>(y)];
       for (int x = 0; x < width; ++x) {
         const Eigen::Vector3d ray = target.At(x, y);
         float disparity = Agreed(prepared, x, y, options);
@@ -313,26 +353,28 @@ Result<SynthesizedView> SynthesizeView(std::span<const SynthesisSource> sources,
           disparity = prepared[k].warped.at(x, y);
           blended = BlendSeen(prepared, ray, disparity, options);
         }
-        if (!blended.seen()) {
-          ++count[0];
-          continue;
-        }
+        if (!blended.seen()) continue;
         for (std::size_t c = 0; c < 3; ++c) {
           view.radiance.at(x, y, static_cast<int>(c)) = blended.rgb[c] / blended.weight;
         }
         view.disparity.at(x, y) = disparity;
-        ++count[1];
-        if (blended.hidden) ++count[2];
+        if (blended.hidden) ++hidden_here;
       }
     }
   });
-  std::array<double, 3> area{};
+  CloseDots(&view);
+  double hole_area = 0.0;
+  double shown_area = 0.0;
+  double hidden_area = 0.0;
   for (int y = 0; y < height; ++y) {
     const double angle = target.grid().PixelSolidAngle(y);
-    for (std::size_t k = 0; k < 3; ++k) area[k] += angle * counts[static_cast<std::size_t>(y)][k];
+    for (int x = 0; x < width; ++x) {
+      (std::isnan(view.disparity.at(x, y)) ? hole_area : shown_area) += angle;
+    }
+    hidden_area += angle * hidden[static_cast<std::size_t>(y)];
   }
-  view.holes = area[0] / (area[0] + area[1]);
-  view.occluded = area[1] > 0.0 ? area[2] / area[1] : 0.0;
+  view.holes = hole_area / (hole_area + shown_area);
+  view.occluded = shown_area > 0.0 ? hidden_area / shown_area : 0.0;
   return view;
 }
 

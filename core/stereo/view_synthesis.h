@@ -40,7 +40,8 @@ struct SynthesizedView {
 // every source's disparity is warped forward to the target's lat-long picture, nearest surface
 // first, the cracks of the stretched surface closed; the value that most sources (by nearness)
 // agree on is the target's; then colours are fetched backward, from every source that sees that
-// surface, and blended by nearness in linear radiance. Deterministic on any number of cores. Errors
+// surface, and blended by nearness in linear radiance; single pixels that no source's grid hit are
+// closed from their neighbours. Deterministic on any number of cores. Errors
 // (kData): no source, pictures of different sizes or not twice as wide as high, a pose that is not
 // finite.
 Result<SynthesizedView> SynthesizeView(std::span<const SynthesisSource> sources,
