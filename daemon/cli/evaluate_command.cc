@@ -117,17 +117,25 @@ void AddEvaluateCommand(CLI::App& app, CommandRun& run) {
       ->add_flag("--require-must", arguments->require_must,
                  "Exit with 1 when a target that must be reached is missed")
       ->needs(suite);
-  command->add_option("--views", arguments->views, "Folder of the views [SESSION/views]");
-  command->add_option("--reference", arguments->reference,
-                      "Folder of photographs with how.json [SESSION/reference, when there is one]");
-  command->add_option("--mask", arguments->mask,
-                      "Picture the size of a frame: only its white part counts");
+  command->add_option("--views", arguments->views, "Folder of the views [SESSION/views]")
+      ->excludes(suite);
+  command
+      ->add_option("--reference", arguments->reference,
+                   "Folder of photographs with how.json [SESSION/reference, when there is one]")
+      ->excludes(suite);
+  command
+      ->add_option("--mask", arguments->mask,
+                   "Picture the size of a frame: only its white part counts")
+      ->excludes(suite);
   command
       ->add_option("--ignore-bottom", arguments->ignore_bottom_percent,
                    "Percent of a frame's height, from the bottom, that does not count")
-      ->check(CLI::Range(0.0, 90.0));
-  command->add_flag("--require-complete", arguments->require_complete,
-                    "Exit with 1 unless every position has its view");
+      ->check(CLI::Range(0.0, 90.0))
+      ->excludes(suite);
+  command
+      ->add_flag("--require-complete", arguments->require_complete,
+                 "Exit with 1 unless every position has its view")
+      ->excludes(suite);
   command->add_flag("--json", arguments->json, "Print one JSON object instead of a table");
   command->add_option(
       "--out", arguments->out,

@@ -6,6 +6,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/file.h"
@@ -17,6 +18,7 @@
 #include "daemon/cli/command.h"
 #include "daemon/cli/exposed_image.h"
 #include "daemon/cli/exposure_table.h"
+#include "daemon/cli/radiance_file.h"
 #include "daemon/cli/response_option.h"
 #include "daemon/cli/white_balance_option.h"
 
@@ -100,24 +102,15 @@ Result<int> Merge(const MergeArguments& arguments) {
   for (const float v : view.radiance.values()) largest = std::max(largest, v);
   const ExrPixelType type =
       arguments.exr_type == "float" ? ExrPixelType::kFloat : SmallestType(view.radiance);
-  Image<float> origin(view.origin.width(), view.origin.height());
-  std::copy(view.origin.values().begin(), view.origin.values().end(), origin.values().begin());
   ExrAttributes attributes;
   attributes.envmap = ExrEnvmap::kNone;
-  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
-  attributes.chromaticities = kRec709;
-  attributes.strings["omnihdrOrigin"] = kOriginMeaning;
   std::vector<std::byte> jpeg;
   if (!arguments.preview.empty()) {
     OMNIHDR_ASSIGN(jpeg, EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92));
   }
   MarkNan(view.origin, NanOf(arguments.nan), &view.radiance);
-  OMNIHDR_TRY(WriteExrAtomic(arguments.out,
-                             {{"R", view.radiance, type, 0},
-                              {"G", view.radiance, type, 1},
-                              {"B", view.radiance, type, 2},
-                              {"origin", origin, ExrPixelType::kHalf, 0}},
-                             attributes, ExrCompression::kPiz));
+  OMNIHDR_TRY(WriteRadianceFile(
+      arguments.out, {&view.radiance, &view.origin, nullptr, type, std::move(attributes)}));
   if (!jpeg.empty()) OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
   merged.summary.title = fmt::format("{}: {} exposures of {}x{}", arguments.out, images.size(),
                                      images.front().width(), images.front().height());

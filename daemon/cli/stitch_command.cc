@@ -23,6 +23,7 @@
 #include "daemon/cli/command.h"
 #include "daemon/cli/exposed_image.h"
 #include "daemon/cli/grid_option.h"
+#include "daemon/cli/radiance_file.h"
 #include "daemon/cli/stitch_inputs.h"
 #include "daemon/cli/white_balance_option.h"
 
@@ -141,12 +142,6 @@ std::string TextOf(const StitchSummary& summary) {
 Status WritePanorama(const StitchArguments& arguments, const SphereGrid& grid,
                      const Measurement& measurement) {
   const MergedView view = ViewOfMeasurement(measurement);
-  Image<float> origin(view.origin.width(), view.origin.height());
-  std::copy(view.origin.values().begin(), view.origin.values().end(), origin.values().begin());
-  ExrAttributes attributes;
-  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
-  attributes.strings["omnihdrOrigin"] = kOriginMeaning;
-  attributes.chromaticities = kRec709;
   std::vector<std::byte> jpeg;
   const bool is_latlong = grid.kind() == SphereGridKind::kEquirectangular;
   if (!arguments.preview.empty()) {
@@ -154,13 +149,9 @@ Status WritePanorama(const StitchArguments& arguments, const SphereGrid& grid,
     if (is_latlong) options.shape = PictureShape::kSphere;
     OMNIHDR_ASSIGN(jpeg, EncodeJpeg(ToneMap(view.radiance, options), 92, is_latlong));
   }
-  const ExrPixelType type = SmallestType(view.radiance);
-  OMNIHDR_TRY(WriteExrAtomic(arguments.out,
-                             {{"R", view.radiance, type, 0},
-                              {"G", view.radiance, type, 1},
-                              {"B", view.radiance, type, 2},
-                              {"origin", origin, ExrPixelType::kHalf, 0}},
-                             AttributesFor(grid, std::move(attributes)), ExrCompression::kPiz));
+  OMNIHDR_TRY(WriteRadianceFile(arguments.out,
+                                {&view.radiance, &view.origin, nullptr, SmallestType(view.radiance),
+                                 AttributesFor(grid, ExrAttributes{})}));
   if (!jpeg.empty()) OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
   return {};
 }

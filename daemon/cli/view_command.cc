@@ -3,6 +3,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <limits>
 #include <map>
@@ -20,6 +21,7 @@
 #include "core/stereo/view_merge.h"
 #include "core/stereo/view_synthesis.h"
 #include "daemon/cli/command.h"
+#include "daemon/cli/radiance_file.h"
 #include "daemon/evaluation/view_files.h"
 
 namespace omnihdr {
@@ -141,33 +143,27 @@ Result<SynthesisSource> SourceOf(const std::filesystem::path& views, std::int64_
 }
 
 Status Write(const ViewArguments& arguments, SynthesizedView view) {
-  Image<float> origin(view.disparity.width(), view.disparity.height());
+  Image<std::uint8_t> origin(view.disparity.width(), view.disparity.height());
   for (int y = 0; y < origin.height(); ++y) {
     for (int x = 0; x < origin.width(); ++x) {
       float* rgb = view.radiance.pixel(x, y);
       const bool known = std::isfinite(rgb[0]);
-      origin.at(x, y) = static_cast<float>(known ? PixelOrigin::kMeasured : PixelOrigin::kNoData);
+      origin.at(x, y) =
+          static_cast<std::uint8_t>(known ? PixelOrigin::kMeasured : PixelOrigin::kNoData);
       if (!known) std::fill_n(rgb, 3, 0.0F);
     }
   }
   if (!arguments.preview.empty()) {
+    ToneMapOptions options;
+    options.shape = PictureShape::kSphere;
     OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
-                   EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92, true));
+                   EncodeJpeg(ToneMap(view.radiance, options), 92, true));
     OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
   }
   ExrAttributes attributes;
   attributes.envmap = ExrEnvmap::kLatLong;
-  attributes.chromaticities = kRec709;
-  attributes.strings["software"] = "omnihdr " OMNIHDR_VERSION;
-  attributes.strings["omnihdrOrigin"] = kOriginMeaning;
-  const ExrPixelType type = SmallestType(view.radiance);
-  return WriteExrAtomic(arguments.out,
-                        {{"R", view.radiance, type, 0},
-                         {"G", view.radiance, type, 1},
-                         {"B", view.radiance, type, 2},
-                         {"disparity", view.disparity, ExrPixelType::kFloat, 0},
-                         {"origin", origin, ExrPixelType::kHalf, 0}},
-                        attributes, ExrCompression::kPiz);
+  return WriteRadianceFile(arguments.out, {&view.radiance, &origin, &view.disparity,
+                                           SmallestType(view.radiance), std::move(attributes)});
 }
 
 Result<int> View(const ViewArguments& arguments) {
@@ -208,19 +204,24 @@ void AddViewCommand(CLI::App& app, CommandRun& run) {
   command->add_option("SESSION", arguments->session, "Session directory")->required();
   command->add_option("--out", arguments->out, "EXR file to write")->required();
   command->add_option("--views", arguments->views, "Folder of the views [SESSION/views]");
-  command
-      ->add_option("--at", arguments->at,
-                   "Place in the world of the poses, as in 0.45,0,0 (metres, or the chain's unit)")
-      ->delimiter(',')
-      ->expected(3);
+  CLI::Option* at =
+      command
+          ->add_option(
+              "--at", arguments->at,
+              "Place in the world of the poses, as in 0.45,0,0 (metres, or the chain's unit)")
+          ->delimiter(',')
+          ->expected(3);
   command->add_option("--chain", arguments->chain, "Chain whose world --at means [the first]")
-      ->check(CLI::NonNegativeNumber);
-  command
-      ->add_option("--between", arguments->between, "Two positions to look from between, as in 3,4")
-      ->delimiter(',')
-      ->expected(2);
+      ->check(CLI::NonNegativeNumber)
+      ->needs(at);
+  CLI::Option* between = command
+                             ->add_option("--between", arguments->between,
+                                          "Two positions to look from between, as in 3,4")
+                             ->delimiter(',')
+                             ->expected(2);
   command->add_option("--fraction", arguments->fraction, "Of the way from the first to the second")
       ->check(CLI::Range(0.0, 1.0))
+      ->needs(between)
       ->capture_default_str();
   command
       ->add_option("--place-of", arguments->place_of,

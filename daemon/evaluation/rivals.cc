@@ -82,17 +82,22 @@ Result<DisparityMap> TrueMap(const Place& place, const Reference& reference, int
 }
 
 // Mean over the views that measured a direction; what none did is the own view's.
-MergedView AverageAlongDirections(std::vector<MergedView> alone) {
-  MergedView& mean = alone.front();
+MergedView AverageAlongDirections(const std::vector<const MergedView*>& alone) {
+  const MergedView& own = *alone.front();
+  MergedView mean;
+  mean.radiance = own.radiance.Clone();
+  mean.origin = own.origin.Clone();
+  mean.disparity = own.disparity.Clone();
+  mean.confidence = own.confidence.Clone();
   const auto pixels = static_cast<std::size_t>(mean.origin.width()) *
                       static_cast<std::size_t>(mean.origin.height());
   for (std::size_t i = 0; i < pixels; ++i) {
     std::array<double, 3> sum{};
     int count = 0;
-    for (const MergedView& view : alone) {
-      if (view.origin.data()[i] != static_cast<std::uint8_t>(PixelOrigin::kMeasured)) continue;
+    for (const MergedView* view : alone) {
+      if (view->origin.data()[i] != static_cast<std::uint8_t>(PixelOrigin::kMeasured)) continue;
       for (std::size_t c = 0; c < 3; ++c) {
-        sum[c] += static_cast<double>(view.radiance.data()[3 * i + c]);
+        sum[c] += static_cast<double>(view->radiance.data()[3 * i + c]);
       }
       ++count;
     }
@@ -102,7 +107,7 @@ MergedView AverageAlongDirections(std::vector<MergedView> alone) {
     }
     mean.origin.data()[i] = static_cast<std::uint8_t>(PixelOrigin::kMeasured);
   }
-  return std::move(mean);
+  return mean;
 }
 
 }  // namespace
@@ -124,19 +129,30 @@ Status WriteRivalViews(const std::filesystem::path& session, Rival rival,
   OMNIHDR_ASSIGN(const std::vector<Place> places, PlacesOf(contents, *reference));
   if (width == 0) width = std::min(measurer.projection().width() / 2 * 2, 8192);
   const auto count = static_cast<std::ptrdiff_t>(places.size());
-  std::map<std::ptrdiff_t, Measurement> window;
+  const Eigen::Quaterniond aligned = Eigen::Quaterniond::Identity();
+  struct Measured {
+    Measurement measurement;
+    MergedView alone;  // its own picture by itself (kUnregistered)
+  };
+  std::map<std::ptrdiff_t, Measured> window;
   for (std::ptrdiff_t k = 0; k < count; ++k) {
     for (std::ptrdiff_t n = std::max<std::ptrdiff_t>(k - kReach, 0);
          n <= std::min(k + kReach, count - 1); ++n) {
       if (window.contains(n)) continue;
-      OMNIHDR_ASSIGN(Measurement measured,
-                     MeasurePlace(session, places[static_cast<std::size_t>(n)], measurer));
+      const Place& near = places[static_cast<std::size_t>(n)];
+      Measured measured;
+      OMNIHDR_ASSIGN(measured.measurement, MeasurePlace(session, near, measurer));
+      if (rival == Rival::kUnregistered) {
+        measured.alone = MergeViews({&measured.measurement, near.pose, nullptr}, nullptr, nullptr,
+                                    {}, aligned, width, MergeOptions{});
+      }
       window.emplace(n, std::move(measured));
     }
     window.erase(window.begin(), window.lower_bound(k - kReach));
 
     const Place& place = places[static_cast<std::size_t>(k)];
-    const MergeSource own = {&window.at(k), place.pose, nullptr};
+    const Measured& here = window.at(k);
+    const MergeSource own = {&here.measurement, place.pose, nullptr};
     std::vector<MergeSource> others;
     FinishedView view;
     view.pose.position = place.position;
@@ -144,15 +160,17 @@ Status WriteRivalViews(const std::filesystem::path& session, Rival rival,
     view.pose.metric = true;
     view.camera_from_output = place.pose.rotation.conjugate();
     view.reference = place.frames.front()->frame;
-    for (const auto& [n, measurement] : window) {
+    std::vector<const MergedView*> alone = {&here.alone};
+    for (const auto& [n, measured] : window) {
       const Place& other = places[static_cast<std::size_t>(n)];
       for (const FrameRecord* frame : other.frames) view.frames.push_back(frame->frame);
-      if (n != k) others.push_back({&measurement, other.pose, nullptr});
+      if (n == k) continue;
+      others.push_back({&measured.measurement, other.pose, nullptr});
+      alone.push_back(&measured.alone);
     }
-    const Eigen::Quaterniond aligned = Eigen::Quaterniond::Identity();
     if (rival == Rival::kOracle) {
       OMNIHDR_ASSIGN(const DisparityMap map, TrueMap(place, *reference, width));
-      const Measurement& m = window.at(k);
+      const Measurement& m = here.measurement;
       const float brightest = *std::max_element(m.saturation.begin(), m.saturation.end());
       const Image<std::uint8_t> brightness = MapBrightness(MakeStereoView(
           m, place.pose.rotation, 2 * width, LogScale::For(m.noise_floor, brightest)));
@@ -160,12 +178,7 @@ Status WriteRivalViews(const std::filesystem::path& session, Rival rival,
       merge.refine_exposure = false;
       view.merged = MergeViews(own, &map, &brightness, others, aligned, width, merge);
     } else {
-      std::vector<MergedView> alone;
-      alone.push_back(MergeViews(own, nullptr, nullptr, {}, aligned, width, MergeOptions{}));
-      for (const MergeSource& other : others) {
-        alone.push_back(MergeViews(other, nullptr, nullptr, {}, aligned, width, MergeOptions{}));
-      }
-      view.merged = AverageAlongDirections(std::move(alone));
+      view.merged = AverageAlongDirections(alone);
     }
     ViewContext context;
     context.mode = ToString(rival);

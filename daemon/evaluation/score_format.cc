@@ -103,6 +103,11 @@ std::vector<Column> Columns(const SessionScore& score) {
          return p.view ? std::optional(100.0 * p.covered) : std::nullopt;
        },
        Percent(mean(&Mean::covered))},
+      {"range", "%", 1,
+       [](const PositionScore& p) {
+         return p.view ? std::optional(100.0 * p.range_share) : std::nullopt;
+       },
+       Percent(mean(&Mean::range_share))},
       {"disparity", "bad1 %", 1,
        Of(
            &PositionScore::disparity, +[](D d) { return 100.0 * d.bad1; }),
@@ -210,6 +215,7 @@ std::string FormatScoreJson(const SessionScore& score) {
       item["view"] = RadianceJson(*p.view);
       item["own_frame"] = RadianceJson(*p.own_frame);
       item["covered"] = Number(p.covered);
+      item["range_share"] = Number(p.range_share);
     }
     if (p.disparity) {
       item["disparity"] = {{"bad1", Number(p.disparity->bad1)},
@@ -239,6 +245,7 @@ std::string FormatScoreJson(const SessionScore& score) {
                     {"view_psnr_mu", Number(m.view_psnr_mu)},
                     {"own_psnr_mu", Number(m.own_psnr_mu)},
                     {"covered", Number(m.covered)},
+                    {"range_share", Number(m.range_share)},
                     {"disparity_bad1", Number(m.disparity_bad1)},
                     {"disparity_median_relative", Number(m.disparity_relative)},
                     {"largest_rotation_deg", Number(m.rotation_deg)},

@@ -1,10 +1,10 @@
 #include <gtest/gtest.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/file.h"
@@ -14,6 +14,7 @@
 #include "tests/support/rig_session.h"
 #include "tests/support/ring.h"
 #include "tests/support/temporary_directory.h"
+#include "tests/unit/daemon/cli/run_command.h"
 
 namespace omnihdr {
 namespace {
@@ -23,14 +24,9 @@ class Report : public ::testing::Test {
   // What it prints; the message when it fails.
   std::string Run(std::vector<std::string> arguments) {
     arguments.insert(arguments.begin(), "report");
-    std::reverse(arguments.begin(), arguments.end());  // as CLI11 wants them
-    CLI::App app;
-    CommandRun run;
-    AddReportCommand(app, run);
-    app.parse(arguments);
-    ::testing::internal::CaptureStdout();
-    const Result<int> result = run();
-    const std::string printed = ::testing::internal::GetCapturedStdout();
+    std::string printed;
+    const Result<int> result =
+        testing::RunCommand({AddReportCommand}, std::move(arguments), &printed);
     return result ? printed : result.error().message;
   }
   std::string Session() const { return directory_.path().string(); }

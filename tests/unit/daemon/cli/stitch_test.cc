@@ -2,7 +2,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -22,6 +21,7 @@
 #include "daemon/cli/command.h"
 #include "tests/support/ring.h"
 #include "tests/support/temporary_directory.h"
+#include "tests/unit/daemon/cli/run_command.h"
 
 namespace omnihdr {
 namespace {
@@ -88,19 +88,7 @@ class StitchCommand : public ::testing::Test {
   Result<int> Run(std::vector<std::string> words, const std::string& out = "pano.exr") {
     words.insert(words.begin(), "stitch");
     words.insert(words.end(), {"--rig", Path("rig.toml"), "--out", Path(out)});
-    CLI::App app("omnihdr");
-    CommandRun run;
-    AddStitchCommand(app, run);
-    std::reverse(words.begin(), words.end());
-    try {
-      app.parse(std::move(words));
-    } catch (const CLI::ParseError& error) {
-      return Fail(ErrorKind::kUsage, "{}", error.what());
-    }
-    ::testing::internal::CaptureStdout();
-    Result<int> result = run();
-    printed_ = ::testing::internal::GetCapturedStdout();
-    return result;
+    return testing::RunCommand({AddStitchCommand}, std::move(words), &printed_);
   }
   std::string ErrorOf(std::vector<std::string> words, ErrorKind kind) {
     const Result<int> result = Run(std::move(words));

@@ -1,7 +1,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -14,6 +13,7 @@
 #include "daemon/cli/command.h"
 #include "tests/support/small_session.h"
 #include "tests/support/temporary_directory.h"
+#include "tests/unit/daemon/cli/run_command.h"
 
 namespace omnihdr {
 namespace {
@@ -52,14 +52,9 @@ class ViewCommand : public ::testing::Test {
   // What it printed, or its message.
   static std::string Run(std::vector<std::string> arguments) {
     arguments.insert(arguments.begin(), {"view", directory_->path().string()});
-    std::reverse(arguments.begin(), arguments.end());  // as CLI11 wants them
-    CLI::App app;
-    CommandRun run;
-    AddViewCommand(app, run);
-    app.parse(arguments);
-    ::testing::internal::CaptureStdout();
-    const Result<int> result = run();
-    const std::string printed = ::testing::internal::GetCapturedStdout();
+    std::string printed;
+    const Result<int> result =
+        testing::RunCommand({AddViewCommand}, std::move(arguments), &printed);
     return result ? printed : result.error().message;
   }
   static std::string Out() { return (directory_->path() / "new.exr").string(); }
@@ -106,6 +101,8 @@ TEST_F(ViewCommand, APositionsPlaceCanBeShownByTheOthersAlone) {
 
 TEST_F(ViewCommand, WhatCannotBeShownIsSaid) {
   EXPECT_THAT(Run({"--out", Out()}), HasSubstr("expected one of --at, --between and --place-of"));
+  EXPECT_THAT(Run({"--at", "0,0,0", "--fraction", "0.3", "--out", Out()}),
+              HasSubstr("--fraction requires --between"));
   EXPECT_THAT(Run({"--between", "2,9", "--out", Out()}),
               HasSubstr("--between: 9, expected a position with a view, 0 to 4"));
   EXPECT_THAT(Run({"--at", "0,0,0", "--chain", "7", "--out", Out()}),

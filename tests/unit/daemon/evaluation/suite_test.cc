@@ -49,6 +49,9 @@ TEST(Suite, ACaseIsSimulatedProcessedAndJudgedAgainstItsRivals) {
   EXPECT_LT(*score->oracle.mean->rotation_deg, 1e-4);
   EXPECT_GT(score->cpu_s, 0.0);
   EXPECT_TRUE(fs::exists(directory.path() / (drive.name + ".png")));
+  EXPECT_GT(score->ours.mean->range_share, 0.8);
+  EXPECT_LT(score->ours.mean->range_share, 1.2);
+  EXPECT_THAT(FormatScoreJson(score->ours), HasSubstr("\"range_share\""));
 
   const std::string table = FormatSuiteTable({*score});
   EXPECT_THAT(table, HasSubstr(drive.name));
