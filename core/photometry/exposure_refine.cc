@@ -205,7 +205,7 @@ Result<std::vector<RefinedExposure>> RefineExposures(std::span<const ExposedFram
     const std::size_t first = begins[b];
     const std::size_t count = begins[b + 1] - first;
     if (count < 2) {
-      refined[order[first]].verdict = ExposureVerdict::kNoOverlap;
+      refined[order[first]].verdict = RefineVerdict::kNoOverlap;
       continue;
     }
     std::vector<double> sorted(ln.begin() + static_cast<std::ptrdiff_t>(first),
@@ -218,7 +218,7 @@ Result<std::vector<RefinedExposure>> RefineExposures(std::span<const ExposedFram
       r.measured = std::exp(ln[k] - anchor);
       const double change = std::abs(ln[k] - anchor);
       if (change <= std::log1p(options.least)) continue;
-      r.verdict = change > limit ? ExposureVerdict::kBeyondLimit : ExposureVerdict::kRefined;
+      r.verdict = change > limit ? RefineVerdict::kBeyondLimit : RefineVerdict::kRefined;
       // Small steps that add up to a large one.
       const double before = k > first ? std::abs(ln[k] - ln[k - 1]) : 0.0;
       const double after = k + 1 < first + count ? std::abs(ln[k + 1] - ln[k]) : 0.0;
@@ -227,17 +227,17 @@ Result<std::vector<RefinedExposure>> RefineExposures(std::span<const ExposedFram
   }
   const auto beyond = static_cast<std::size_t>(std::count_if(
       refined.begin(), refined.end(),
-      [](const RefinedExposure& r) { return r.verdict == ExposureVerdict::kBeyondLimit; }));
+      [](const RefinedExposure& r) { return r.verdict == RefineVerdict::kBeyondLimit; }));
   if (!is_consistent || (beyond > 1 && 4 * beyond > frames.size())) {
     // Correcting a part of the bracket would only move the step.
     for (RefinedExposure& r : refined) {
-      if (r.verdict == ExposureVerdict::kRefined || r.verdict == ExposureVerdict::kBeyondLimit) {
-        r.verdict = ExposureVerdict::kInconsistent;
+      if (r.verdict == RefineVerdict::kRefined || r.verdict == RefineVerdict::kBeyondLimit) {
+        r.verdict = RefineVerdict::kInconsistent;
       }
     }
   }
   for (RefinedExposure& r : refined) {
-    if (r.verdict == ExposureVerdict::kRefined) r.scale = r.measured;
+    if (r.verdict == RefineVerdict::kRefined) r.scale = r.measured;
   }
   return refined;
 }
@@ -253,25 +253,25 @@ std::vector<std::string> RefinementNotes(std::span<const RefinedExposure> refine
     const std::string what =
         fmt::format("{}: exposure {:.6g} s", names[k], labelled[k].exposure.time.seconds());
     switch (r.verdict) {
-      case ExposureVerdict::kLabelRight:
+      case RefineVerdict::kLabelRight:
         break;
-      case ExposureVerdict::kRefined:
+      case RefineVerdict::kRefined:
         notes.push_back(
             fmt::format("{}: {:+.1f} % by its overlap with the others: corrected", what, percent));
         break;
-      case ExposureVerdict::kBeyondLimit:
+      case RefineVerdict::kBeyondLimit:
         notes.push_back(fmt::format(
             "{}: {:+.1f} % by its overlap with the others, beyond the limit of {:.0f} %: kept as "
             "labelled",
             what, percent, 100.0 * limit));
         break;
-      case ExposureVerdict::kNoOverlap:
+      case RefineVerdict::kNoOverlap:
         if (refined.size() > 1) {
           notes.push_back(fmt::format(
               "{}: shares too little with the others to be tested: kept as labelled", what));
         }
         break;
-      case ExposureVerdict::kInconsistent:
+      case RefineVerdict::kInconsistent:
         ++inconsistent;
         break;
     }

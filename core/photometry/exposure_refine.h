@@ -21,7 +21,7 @@ struct RefineOptions {
   NoiseModel noise;
 };
 
-enum class ExposureVerdict {
+enum class RefineVerdict {
   kLabelRight,
   kRefined,
   kBeyondLimit,   // kept as labelled
@@ -34,7 +34,7 @@ struct RefinedExposure {
   double scale = 1.0;       // exposure to use = label · scale
   double measured = 1.0;    // exposure as the overlaps say, over the label
   std::size_t samples = 0;  // values shared with the next shorter and the next longer exposure
-  ExposureVerdict verdict = ExposureVerdict::kLabelRight;
+  RefineVerdict verdict = RefineVerdict::kLabelRight;
 };
 
 // Tests the exposure labels of a bracket taken at one place against the pictures: for each two

@@ -85,7 +85,7 @@ Result<Pairs> FindPairs(const NoiseArguments& arguments) {
   return pairs;
 }
 
-std::vector<Plot> Plots(const NoiseCalibration& noise) {
+std::vector<Plot> NoisePlots(const NoiseCalibration& noise) {
   Plot plot;
   plot.title = "photon transfer";
   plot.x_label = "signal above black, code values";
@@ -112,7 +112,7 @@ std::vector<Plot> Plots(const NoiseCalibration& noise) {
   return {plot};
 }
 
-std::string Report(const NoiseCalibration& noise, std::size_t pairs) {
+std::string NoiseReport(const NoiseCalibration& noise, std::size_t pairs) {
   const auto of = [](const Estimate& e, const char* format) {
     return fmt::format(fmt::runtime(std::string(format) + " ± " + format), e.value,
                        e.standard_error);
@@ -127,7 +127,7 @@ std::string Report(const NoiseCalibration& noise, std::size_t pairs) {
       of(noise.prnu, "{:.5f}"), noise.model.read, noise.model.gain, noise.model.prnu);
 }
 
-std::string ReportJson(const NoiseCalibration& noise, std::size_t pairs) {
+std::string NoiseReportJson(const NoiseCalibration& noise, std::size_t pairs) {
   const auto of = [](const Estimate& e) {
     return Json{{"value", e.value}, {"standard_error", e.standard_error}};
   };
@@ -167,8 +167,9 @@ Result<int> Calibrate(const NoiseArguments& arguments) {
         {&images[images.size() - 2], &images.back(), fmt::format("{} and {}", first, second)});
   }
   OMNIHDR_ASSIGN(const NoiseCalibration noise, CalibrateNoise(flats, pairs.options));
-  if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, Plots(noise)));
-  fmt::print("{}", arguments.json ? ReportJson(noise, flats.size()) : Report(noise, flats.size()));
+  if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, NoisePlots(noise)));
+  fmt::print("{}", arguments.json ? NoiseReportJson(noise, flats.size())
+                                  : NoiseReport(noise, flats.size()));
   return 0;
 }
 

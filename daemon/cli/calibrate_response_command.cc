@@ -124,8 +124,8 @@ Result<SessionSamples> Samples(const ResponseArguments& arguments, const MaybeSe
   return SamplesFromSession(session, contents, mask.view(), SessionSampleOptions{});
 }
 
-std::string Report(const ResponseCalibration& calibration, const SessionSamples& source,
-                   ResponseMethod method) {
+std::string ResponseReport(const ResponseCalibration& calibration, const SessionSamples& source,
+                           ResponseMethod method) {
   const ResponseSamples& samples = source.samples;
   const auto [shortest, longest] =
       std::minmax_element(samples.seconds.begin(), samples.seconds.end());
@@ -167,8 +167,8 @@ std::string Report(const ResponseCalibration& calibration, const SessionSamples&
   return text;
 }
 
-std::string ReportJson(const ResponseCalibration& calibration, const SessionSamples& source,
-                       ResponseMethod method) {
+std::string ResponseReportJson(const ResponseCalibration& calibration, const SessionSamples& source,
+                               ResponseMethod method) {
   const ResponseSamples& samples = source.samples;
   Json json = {{"method", ToString(method)},
                {"frames", source.frames},
@@ -200,7 +200,7 @@ std::string ReportJson(const ResponseCalibration& calibration, const SessionSamp
 
 // ln exposure and exposure against the pixel value, as the thesis draws them. The band is the
 // spread of one spot.
-std::vector<Plot> Plots(const ResponseCalibration& calibration, ResponseMethod method) {
+std::vector<Plot> ResponsePlots(const ResponseCalibration& calibration, ResponseMethod method) {
   constexpr std::array<const char*, 3> kNames = {"red", "green", "blue"};
   constexpr std::array<std::array<std::uint8_t, 3>, 3> kColours = {
       {{200, 40, 40}, {30, 140, 50}, {40, 70, 200}}};
@@ -257,7 +257,8 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
   if (!arguments.out.empty()) {
     OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatResponse(calibration.response) + "\n"));
   }
-  if (!arguments.plot.empty()) OMNIHDR_TRY(WritePlots(arguments.plot, Plots(calibration, *method)));
+  if (!arguments.plot.empty())
+    OMNIHDR_TRY(WritePlots(arguments.plot, ResponsePlots(calibration, *method)));
   if (!arguments.apply.empty()) OMNIHDR_TRY(Apply(arguments.apply, calibration.response));
   if (sensor) {
     RigEdit edit;
@@ -266,10 +267,10 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
     OMNIHDR_TRY(EditRigFile(sensor->rig_file, std::span(&edit, 1)));
   }
   if (arguments.json) {
-    fmt::print("{}", ReportJson(calibration, source, *method));
+    fmt::print("{}", ResponseReportJson(calibration, source, *method));
     return 0;
   }
-  fmt::print("{}", Report(calibration, source, *method));
+  fmt::print("{}", ResponseReport(calibration, source, *method));
   if (sensor) {
     fmt::print("{}: response of sensor {} set\n", sensor->rig_file, sensor->sensor().name);
   }

@@ -10,30 +10,30 @@
 namespace omnihdr {
 namespace {
 
-std::string_view NameOf(ExposureVerdict verdict) {
+std::string_view NameOf(RefineVerdict verdict) {
   switch (verdict) {
-    case ExposureVerdict::kLabelRight:
+    case RefineVerdict::kLabelRight:
       return "label-right";
-    case ExposureVerdict::kRefined:
+    case RefineVerdict::kRefined:
       return "corrected";
-    case ExposureVerdict::kBeyondLimit:
+    case RefineVerdict::kBeyondLimit:
       return "beyond-limit";
-    case ExposureVerdict::kNoOverlap:
+    case RefineVerdict::kNoOverlap:
       return "not-tested";
-    case ExposureVerdict::kInconsistent:
+    case RefineVerdict::kInconsistent:
       return "inconsistent";
   }
   return "?";
 }
 
 std::string LabelColumn(const RefinedExposure& r) {
-  if (r.verdict == ExposureVerdict::kNoOverlap) return "not tested";
+  if (r.verdict == RefineVerdict::kNoOverlap) return "not tested";
   const double percent = 100.0 * (r.measured - 1.0);
   switch (r.verdict) {
-    case ExposureVerdict::kRefined:
+    case RefineVerdict::kRefined:
       return fmt::format("{:+.1f} % corrected", percent);
-    case ExposureVerdict::kBeyondLimit:
-    case ExposureVerdict::kInconsistent:
+    case RefineVerdict::kBeyondLimit:
+    case RefineVerdict::kInconsistent:
       return fmt::format("{:+.1f} % refused", percent);
     default:
       return fmt::format("{:+.1f} %", percent);

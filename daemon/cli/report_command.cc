@@ -116,7 +116,7 @@ class Reporter {
                                   measurer_.frame_mask(), measure_, 0.0, false));
       ExposureLine& line = one.summary.lines.front();
       line.range = one.summary.merged;
-      line.refined.verdict = ExposureVerdict::kNoOverlap;
+      line.refined.verdict = RefineVerdict::kNoOverlap;
       line.recovered = RangeOfView(views_, record.position);
       summary.lines.push_back(std::move(line));
     }

@@ -17,14 +17,15 @@ namespace {
 
 constexpr char kNoPicture[] = "-";
 
-struct Picture {
+struct SensorPicture {
   std::string file;
   Exposure exposure;
   DecodedImage image;
 };
 
-Result<Picture> ReadPicture(const std::string& text, const std::optional<ExposureTime>& otherwise) {
-  Picture picture;
+Result<SensorPicture> ReadPicture(const std::string& text,
+                                  const std::optional<ExposureTime>& otherwise) {
+  SensorPicture picture;
   Result<ExposedImageName> exposed = ParseExposedImage(text);
   if (exposed) {
     picture.file = exposed->file;
@@ -48,15 +49,15 @@ std::string KindOf(const DecodedImage& image) {
 }
 
 // The pictures of one exposure, one below the other.
-DecodedImage Stack(const std::vector<Picture>& pictures) {
+DecodedImage Stack(const std::vector<SensorPicture>& pictures) {
   int height = 0;
-  for (const Picture& picture : pictures) height += picture.image.height();
+  for (const SensorPicture& picture : pictures) height += picture.image.height();
   return std::visit(
       [&](const auto& front) {
         using ImageType = std::decay_t<decltype(front)>;
         ImageType stacked = ImageType::Uninitialized(front.width(), height, front.channels());
         auto* to = stacked.data();
-        for (const Picture& picture : pictures) {
+        for (const SensorPicture& picture : pictures) {
           const auto& pixels = std::get<ImageType>(picture.image.pixels);
           to = std::copy(pixels.values().begin(), pixels.values().end(), to);
         }
@@ -101,7 +102,7 @@ Result<Plan> PlanOf(const StitchInputArguments& arguments, const Rig& rig,
   }
   Result<std::vector<int>> rows = StackedRows(rig);
   if (!rows) return Forward(std::move(rows).error(), arguments.rig);
-  OMNIHDR_ASSIGN(const Picture picture, ReadPicture(*first, seconds));
+  OMNIHDR_ASSIGN(const SensorPicture picture, ReadPicture(*first, seconds));
   Plan plan;
   plan.width = rig.sensors.front().lens.width();
   plan.height = rows->back();
@@ -119,10 +120,10 @@ Result<Plan> PlanOf(const StitchInputArguments& arguments, const Rig& rig,
 }
 
 // One exposure: `texts` as on the command line, one a sensor.
-Result<std::vector<Picture>> ReadSensors(const StitchInputs& inputs,
-                                         std::span<const std::string> texts,
-                                         const std::optional<ExposureTime>& seconds) {
-  std::vector<Picture> pictures;
+Result<std::vector<SensorPicture>> ReadSensors(const StitchInputs& inputs,
+                                               std::span<const std::string> texts,
+                                               const std::optional<ExposureTime>& seconds) {
+  std::vector<SensorPicture> pictures;
   for (std::size_t s = 0; s < texts.size(); ++s) {
     const RigSensor& sensor = inputs.whole_rig.sensors[s];
     const bool is_taken =
@@ -134,7 +135,7 @@ Result<std::vector<Picture>> ReadSensors(const StitchInputs& inputs,
                   sensor.name);
     }
     if (!is_taken) continue;
-    OMNIHDR_ASSIGN(Picture picture, ReadPicture(texts[s], seconds));
+    OMNIHDR_ASSIGN(SensorPicture picture, ReadPicture(texts[s], seconds));
     if (picture.image.width() != sensor.lens.width() ||
         picture.image.height() != sensor.lens.height()) {
       return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected the size of sensor \"{}\", {}x{}",
@@ -155,7 +156,7 @@ Status ReadExposures(const StitchInputArguments& arguments, const Plan& plan,
   const std::span<const std::string> texts = arguments.pictures;
   const std::size_t step = plan.is_stacked ? 1 : inputs->whole_rig.sensors.size();
   for (std::size_t first = 0; first < texts.size(); first += step) {
-    std::vector<Picture> pictures;
+    std::vector<SensorPicture> pictures;
     if (plan.is_stacked) {
       if (texts[first] == kNoPicture) {
         return Fail(ErrorKind::kUsage,
@@ -163,7 +164,7 @@ Status ReadExposures(const StitchInputArguments& arguments, const Plan& plan,
                     "picture",
                     plan.width, plan.height);
       }
-      OMNIHDR_ASSIGN(Picture picture, ReadPicture(texts[first], seconds));
+      OMNIHDR_ASSIGN(SensorPicture picture, ReadPicture(texts[first], seconds));
       if (picture.image.width() != plan.width || picture.image.height() != plan.height) {
         return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected a stacked frame of {}x{}",
                     picture.file, picture.image.width(), picture.image.height(), plan.width,
@@ -180,7 +181,7 @@ Status ReadExposures(const StitchInputArguments& arguments, const Plan& plan,
                   KindOf(inputs->images.front()));
     }
     std::vector<Exposure> exposures;
-    for (const Picture& picture : pictures) exposures.push_back(picture.exposure);
+    for (const SensorPicture& picture : pictures) exposures.push_back(picture.exposure);
     inputs->images.push_back(Stack(pictures));
     inputs->exposures.push_back(std::move(exposures));
   }

@@ -91,8 +91,8 @@ std::vector<double> Quantiles(ImageView<const float> values,
 }
 
 // Text and bar grow with the picture.
-struct Layout {
-  explicit Layout(int width)
+struct StripLayout {
+  explicit StripLayout(int width)
       : scale(std::clamp(width / 1400.0, 0.4, 3.0)),
         margin(static_cast<int>(16 * scale) + 4),
         text(static_cast<int>(24 * scale)),
@@ -103,13 +103,13 @@ struct Layout {
   int bar;
 };
 
-void Text(cv::Mat& canvas, const std::string& text, int x, int y, const Layout& layout) {
+void Text(cv::Mat& canvas, const std::string& text, int x, int y, const StripLayout& layout) {
   cv::putText(canvas, text, {x, y}, cv::FONT_HERSHEY_SIMPLEX, 0.62 * layout.scale,
               cv::Scalar(kInk[0], kInk[1], kInk[2]), std::max(1, static_cast<int>(layout.scale)),
               cv::LINE_AA);
 }
 
-int TextWidth(const std::string& text, const Layout& layout) {
+int TextWidth(const std::string& text, const StripLayout& layout) {
   int baseline = 0;
   return cv::getTextSize(text, cv::FONT_HERSHEY_SIMPLEX, 0.62 * layout.scale,
                          std::max(1, static_cast<int>(layout.scale)), &baseline)
@@ -219,7 +219,7 @@ Image<std::uint8_t> KindColours(ImageView<const float> kinds, const std::vector<
 }
 
 Image<std::uint8_t> WithScaleBar(ImageView<const std::uint8_t> picture, const ScaleBar& bar) {
-  const Layout layout(picture.width());
+  const StripLayout layout(picture.width());
   const int width = picture.width();
   const int top = picture.height() + layout.text + layout.margin / 2;
   Image<std::uint8_t> out = WithStrip(picture, 2 * layout.text + layout.bar + 2 * layout.margin);
@@ -257,7 +257,7 @@ Image<std::uint8_t> WithScaleBar(ImageView<const std::uint8_t> picture, const Sc
 
 Image<std::uint8_t> WithLegend(ImageView<const std::uint8_t> picture, const std::string& title,
                                const std::vector<Kind>& legend) {
-  const Layout layout(picture.width());
+  const StripLayout layout(picture.width());
   Image<std::uint8_t> out = WithStrip(picture, layout.text + 2 * layout.margin);
   cv::Mat canvas = Mat(out);
   const int baseline = picture.height() + layout.text + layout.margin / 2;

@@ -38,15 +38,29 @@ if(OMNIHDR_SANITIZE)
   target_compile_options(omnihdr_flags INTERFACE
     -fsanitize=${OMNIHDR_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer)
   target_link_options(omnihdr_flags INTERFACE -fsanitize=${OMNIHDR_SANITIZE})
+  if(OMNIHDR_SANITIZE MATCHES "undefined" AND CMAKE_CXX_COMPILER_ID MATCHES "Clang")
+    target_compile_options(omnihdr_flags INTERFACE
+      "-fsanitize-ignorelist=${PROJECT_SOURCE_DIR}/scripts/cmake/sanitizer_ignorelist.txt")
+  endif()
 endif()
 target_include_directories(omnihdr_flags INTERFACE "${PROJECT_SOURCE_DIR}")
 target_compile_definitions(omnihdr_flags INTERFACE OMNIHDR_VERSION="${PROJECT_VERSION}")
 
+# omnihdr_unity(target): compiles the target's files some at a time as one unit. Most of the time of
+# tests and commands goes into the same few large headers (GoogleTest, CLI11, JSON) and what they instantiate.
+# Files of one target therefore keep their local names apart: a test's are in a namespace of its own.
+option(OMNIHDR_UNITY "Compile tests and commands several files at a time" ON)
+function(omnihdr_unity target)
+  if(OMNIHDR_UNITY)
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE 8)
+  endif()
+endfunction()
+
 # omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
 # folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
-# a .cc file becomes a header-only target.
+# a .cc file becomes a header-only target. UNITY: see omnihdr_unity.
 function(omnihdr_library name)
-  cmake_parse_arguments(ARG "" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
+  cmake_parse_arguments(ARG "UNITY" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *.cc)
   foreach(file IN LISTS ARG_EXCLUDE)
     list(REMOVE_ITEM sources "${CMAKE_CURRENT_SOURCE_DIR}/${file}")
@@ -54,6 +68,9 @@ function(omnihdr_library name)
   if(sources)
     add_library(${name} STATIC ${sources})
     target_link_libraries(${name} PUBLIC omnihdr_flags ${ARG_DEPS} PRIVATE ${ARG_PRIVATE_DEPS})
+    if(ARG_UNITY)
+      omnihdr_unity(${name})
+    endif()
   else()
     add_library(${name} INTERFACE)
     target_link_libraries(${name} INTERFACE omnihdr_flags ${ARG_DEPS})
@@ -61,7 +78,9 @@ function(omnihdr_library name)
 endfunction()
 
 # omnihdr_test(unit_core_base LABELS fast DEPS core_base): one GoogleTest program from every
-# *_test.cc of the calling folder, each case a ctest test.
+# *_test.cc of the calling folder, each case a ctest test; with OMNIHDR_TEST_SHARDS each program is that
+# many tests (starting a sanitized program takes longer than most cases).
+set(OMNIHDR_TEST_SHARDS "0" CACHE STRING "Run a test program in this many parts; 0: every case alone")
 function(omnihdr_test name)
   cmake_parse_arguments(ARG "" "TIMEOUT" "DEPS;LABELS" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *_test.cc)
@@ -76,16 +95,21 @@ function(omnihdr_test name)
   endif()
   add_executable(${name} ${sources})
   target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS} GTest::gmock GTest::gtest_main)
+  omnihdr_unity(${name})
+  if(CMAKE_BUILD_TYPE STREQUAL "Release")
+    # What is tested is built like the product; of the tests themselves -O3 would make a third more work.
+    target_compile_options(${name} PRIVATE -O1)
+  endif()
   if(OMNIHDR_SANITIZE MATCHES "undefined")
     # The product's own code is what is checked; in the tests' it would double the time to compile.
-    target_compile_options(${name} PRIVATE -fno-sanitize=undefined)
+    target_compile_options(${name} PRIVATE -fno-sanitize=undefined -O0)
   endif()
-  # Folders are told only to the files that ask: ccache shares all other objects between checkouts.
+  # The tree's place is told only to programs that ask: ccache shares all other objects between checkouts.
   foreach(source IN LISTS sources)
     file(STRINGS "${source}" asks REGEX "OMNIHDR_SOURCE_DIR" LIMIT_COUNT 1)
     if(asks)
-      set_property(SOURCE "${source}" APPEND PROPERTY
-        COMPILE_DEFINITIONS OMNIHDR_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
+      target_compile_definitions(${name} PRIVATE OMNIHDR_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
+      break()
     endif()
   endforeach()
   # One target that builds every unit test (what the sanitizer build needs).
@@ -96,6 +120,16 @@ function(omnihdr_test name)
     add_dependencies(unit_tests ${name})
   else()
     target_compile_definitions(${name} PRIVATE OMNIHDR_BINARY_DIR="${PROJECT_BINARY_DIR}")
+  endif()
+  if(OMNIHDR_TEST_SHARDS)
+    math(EXPR last "${OMNIHDR_TEST_SHARDS} - 1")
+    math(EXPR ARG_TIMEOUT "10 * ${ARG_TIMEOUT}")  # of many cases
+    foreach(shard RANGE ${last})
+      add_test(NAME ${name}/${shard} COMMAND ${name} --gtest_brief=1)
+      set_tests_properties(${name}/${shard} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT}
+        ENVIRONMENT "GTEST_TOTAL_SHARDS=${OMNIHDR_TEST_SHARDS};GTEST_SHARD_INDEX=${shard}")
+    endforeach()
+    return()
   endif()
   gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST DISCOVERY_TIMEOUT 60)
   # Not as PROPERTIES of the call above: there a list of labels falls apart and swallows the timeout.
@@ -108,12 +142,19 @@ endif()
 endfunction()
 
 # omnihdr_fuzz(journal_fuzz DEPS core_session): one libFuzzer program from NAME.cc of the calling
-# folder; its seeds are in tests/fuzz/corpus/NAME without the "_fuzz". `fuzz_targets` builds them all.
+# folder; its seeds are in tests/fuzz/corpus/NAME without the "_fuzz". The libraries named are what is
+# fuzzed: they alone report their branches to the fuzzer. `fuzz_targets` builds them all.
 function(omnihdr_fuzz name)
   cmake_parse_arguments(ARG "" "" "DEPS" ${ARGN})
   add_executable(${name} ${name}.cc)
   target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS})
   target_link_options(${name} PRIVATE -fsanitize=fuzzer)
+  foreach(library IN LISTS ARG_DEPS)
+    get_target_property(options ${library} COMPILE_OPTIONS)
+    if(NOT options MATCHES "fuzzer-no-link")
+      target_compile_options(${library} PRIVATE -fsanitize=fuzzer-no-link)
+    endif()
+  endforeach()
   if(NOT TARGET fuzz_targets)
     add_custom_target(fuzz_targets)
   endif()

@@ -14,7 +14,7 @@
 #include "drivers/sim/world.h"
 #include "tests/compliance/camera_suite.h"
 
-namespace omnihdr::compliance {
+namespace omnihdr::compliance::camera_compliance_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -371,4 +371,4 @@ TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {
 INSTANTIATE_TEST_SUITE_P(AllCameras, CameraCompliance, testing::ValuesIn(AllRigs()),
                          [](const auto& parameter) { return parameter.param.name; });
 
-}  // namespace omnihdr::compliance
+}  // namespace omnihdr::compliance::camera_compliance_test

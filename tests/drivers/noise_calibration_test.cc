@@ -9,7 +9,7 @@
 
 #include "drivers/sim/sensor.h"
 
-namespace omnihdr {
+namespace omnihdr::noise_calibration_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -99,4 +99,4 @@ TEST(NoiseCalibration, EachRefusalSaysWhy) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::noise_calibration_test

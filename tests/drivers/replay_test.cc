@@ -15,7 +15,7 @@
 #include "drivers/all_drivers.h"
 #include "drivers/sim/simulation.h"
 
-namespace omnihdr {
+namespace omnihdr::replay_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -181,4 +181,4 @@ TEST(AllDrivers, ACameraIsMadeFromItsOptionsOrTheOptionIsNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::replay_test

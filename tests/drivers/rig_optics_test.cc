@@ -12,7 +12,7 @@
 #include "core/session/session_reader.h"
 #include "drivers/sim/simulation.h"
 
-namespace omnihdr::sim {
+namespace omnihdr::sim::rig_optics_test {
 namespace {
 
 std::shared_ptr<const World> Hall() {
@@ -174,4 +174,4 @@ TEST(SimulatedRigSession, HoldsStackedFramesAndTheCalibration) {
 }
 
 }  // namespace
-}  // namespace omnihdr::sim
+}  // namespace omnihdr::sim::rig_optics_test

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <cstring>
 
-namespace omnihdr::sim {
+namespace omnihdr::sim::sensor_test {
 namespace {
 
 Exposure Seconds(double time, double gain_db = 0.0) {
@@ -113,4 +113,4 @@ TEST(Sensor, OptionsOutOfRangeAreNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr::sim
+}  // namespace omnihdr::sim::sensor_test

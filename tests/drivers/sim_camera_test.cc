@@ -10,7 +10,7 @@
 
 #include "drivers/sim/sensor.h"
 
-namespace omnihdr::sim {
+namespace omnihdr::sim::sim_camera_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -223,4 +223,4 @@ TEST(SimCamera, OptionsOutOfRangeAreReportedByOpen) {
 }
 
 }  // namespace
-}  // namespace omnihdr::sim
+}  // namespace omnihdr::sim::sim_camera_test

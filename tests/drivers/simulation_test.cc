@@ -10,7 +10,7 @@
 #include "core/base/file.h"
 #include "core/session/session_reader.h"
 
-namespace omnihdr::sim {
+namespace omnihdr::sim::simulation_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -116,4 +116,4 @@ TEST(Simulation, ACylinderReachesAsFarAsSaidWithSquarePixelsAtTheHorizon) {
 }
 
 }  // namespace
-}  // namespace omnihdr::sim
+}  // namespace omnihdr::sim::simulation_test

@@ -11,7 +11,7 @@
 #include "drivers/trigger/software_trigger.h"
 #include "drivers/trigger/timer_trigger.h"
 
-namespace omnihdr {
+namespace omnihdr::trigger_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -183,4 +183,4 @@ TEST(SoftwareTrigger, ItsLimitCountsAndAStoppedOneRefuses) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::trigger_test

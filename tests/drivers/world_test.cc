@@ -12,7 +12,7 @@
 #include "core/base/parallel_for.h"
 #include "drivers/sim/geometry.h"
 
-namespace omnihdr::sim {
+namespace omnihdr::sim::world_test {
 namespace {
 
 const std::vector<SceneKind> kScenes{SceneKind::kHall, SceneKind::kYard, SceneKind::kTunnel,
@@ -182,4 +182,4 @@ TEST(World, TheSkyIsInfinitelyFarAndTheLawnIsNot) {
 }
 
 }  // namespace
-}  // namespace omnihdr::sim
+}  // namespace omnihdr::sim::world_test

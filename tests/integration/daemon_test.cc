@@ -17,7 +17,7 @@
 #include "tests/integration/programs.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::daemon_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -448,4 +448,4 @@ TEST_F(Daemon, AnExistingSessionIsRefusedWhenSoConfigured) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::daemon_test

@@ -9,7 +9,7 @@
 #include "core/photometry/measure.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::photometry_test {
 namespace {
 
 using testing::Between;
@@ -205,4 +205,4 @@ RC_GTEST_PROP(ResponseLaw, ExposuresOfATableComeBack, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::photometry_test

@@ -14,7 +14,7 @@
 #include "core/session/rig_file.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_edit_test {
 namespace {
 
 using testing::AnyPose;
@@ -164,4 +164,4 @@ RC_GTEST_PROP(RigEditLaw, EditingTheTextIsChangingTheRig, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_edit_test

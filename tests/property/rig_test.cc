@@ -9,7 +9,7 @@
 #include "core/sphere/rig.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_test {
 namespace {
 
 using testing::AnyPose;
@@ -139,4 +139,4 @@ RC_GTEST_PROP(RigLaw, WhatIsWrittenReadsBackTheSame, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_test

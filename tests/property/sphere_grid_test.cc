@@ -13,7 +13,7 @@
 #include "core/sphere/sphere_remap.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::sphere_grid_test {
 namespace {
 
 using testing::Between;
@@ -219,4 +219,4 @@ RC_GTEST_PROP(SphereRemapLaw, AConstantStaysTheSameToTheLastBitInEveryType, ()) 
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sphere_grid_test

@@ -8,7 +8,7 @@
 #include "core/sphere/projection.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::sphere_test {
 namespace {
 
 using testing::AnyPose;
@@ -97,4 +97,4 @@ RC_GTEST_PROP(PoseLaw, TheInverseUndoes, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sphere_test

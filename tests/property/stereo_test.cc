@@ -11,7 +11,7 @@
 #include "core/stereo/view_merge.h"
 #include "tests/property/generators.h"
 
-namespace omnihdr {
+namespace omnihdr::stereo_test {
 namespace {
 
 using testing::Between;
@@ -172,4 +172,4 @@ RC_GTEST_PROP(WarpLaw, NothingLandsThatIsNotSomewhereInTheMap, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stereo_test

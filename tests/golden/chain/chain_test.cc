@@ -15,7 +15,7 @@
 #include "tests/support/small_session.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::chain_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -161,4 +161,4 @@ TEST(Chain, FromFramesToViewsItIsAsGoodAsItWas) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::chain_test

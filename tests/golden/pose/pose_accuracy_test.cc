@@ -12,7 +12,7 @@
 #include "core/pose/pose_tracker.h"
 #include "drivers/sim/world.h"
 
-namespace omnihdr {
+namespace omnihdr::pose_accuracy_test {
 namespace {
 
 constexpr int kPositions = 6;
@@ -136,4 +136,4 @@ TEST(PoseAccuracy, InATunnelOnEquirectangularPictures) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::pose_accuracy_test

@@ -8,7 +8,7 @@
 #include <thread>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::bounded_queue_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -106,4 +106,4 @@ TEST(BoundedQueue, EveryItemIsPoppedOnceOrCounted) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::bounded_queue_test

@@ -8,7 +8,7 @@
 #include <string_view>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::crc32c_test {
 namespace {
 
 std::uint32_t CrcOf(std::string_view text) {
@@ -44,4 +44,4 @@ RC_GTEST_PROP(Crc32c, AFlippedBitChangesTheSum, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::crc32c_test

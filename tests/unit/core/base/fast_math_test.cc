@@ -6,7 +6,7 @@
 #include <limits>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::fast_math_test {
 namespace {
 
 TEST(FastLog2, IsWithinTheStatedErrorOverTheWholeRangeOfFloats) {
@@ -54,4 +54,4 @@ TEST(FastExp2, StopsAtItsLimits) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::fast_math_test

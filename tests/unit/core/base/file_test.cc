@@ -9,7 +9,7 @@
 #include <cstdlib>
 #include <fstream>
 
-namespace omnihdr {
+namespace omnihdr::file_test {
 namespace {
 
 class File : public testing::Test {
@@ -92,4 +92,4 @@ TEST_F(File, AnFdIsClosedOnce) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::file_test

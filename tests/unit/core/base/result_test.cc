@@ -5,7 +5,7 @@
 #include <cerrno>
 #include <memory>
 
-namespace omnihdr {
+namespace omnihdr::result_test {
 namespace {
 
 Result<int> Half(int value) {
@@ -80,4 +80,4 @@ TEST(Result, ExitCodesAreThoseOfSysexits) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::result_test

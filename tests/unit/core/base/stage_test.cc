@@ -6,7 +6,7 @@
 #include <stdexcept>
 #include <thread>
 
-namespace omnihdr {
+namespace omnihdr::stage_test {
 namespace {
 
 TEST(Stage, RunsUntilItIsAskedToStop) {
@@ -54,4 +54,4 @@ TEST(Stage, TheDestructorStopsAndJoins) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stage_test

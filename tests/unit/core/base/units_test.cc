@@ -8,7 +8,7 @@
 
 #include "core/base/clock.h"
 
-namespace omnihdr {
+namespace omnihdr::units_test {
 namespace {
 
 template <typename A, typename B>
@@ -81,4 +81,4 @@ TEST(Units, TheSystemsMonotonicClockDoesNotGoBack) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::units_test

@@ -6,7 +6,7 @@
 #include <limits>
 #include <set>
 
-namespace omnihdr {
+namespace omnihdr::bracket_plan_test {
 namespace {
 
 ExposureTime Seconds(double s) { return ExposureTime::Seconds(s); }
@@ -136,4 +136,4 @@ RC_GTEST_PROP(BracketPlan, EveryStepComesUpInEveryPeriodAndNeighboursDiffer, ())
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::bracket_plan_test

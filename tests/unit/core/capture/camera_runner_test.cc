@@ -4,7 +4,7 @@
 
 #include "tests/unit/core/capture/simulated.h"
 
-namespace omnihdr {
+namespace omnihdr::camera_runner_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -175,4 +175,4 @@ TEST(CameraRunner, CloseEndsCommands) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::camera_runner_test

@@ -5,7 +5,7 @@
 
 #include "tests/unit/core/capture/simulated.h"
 
-namespace omnihdr {
+namespace omnihdr::capture_controller_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -304,4 +304,4 @@ RC_GTEST_PROP(CaptureController, EveryTriggerLeavesExactlyOneLineInOrder, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::capture_controller_test

@@ -4,7 +4,7 @@
 
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::capture_state_test {
 namespace {
 
 CaptureConditions Ready() {
@@ -68,4 +68,4 @@ TEST(CaptureState, TheListenerHearsChangesOnly) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::capture_state_test

@@ -4,7 +4,7 @@
 
 #include <limits>
 
-namespace omnihdr {
+namespace omnihdr::exposure_verifier_test {
 namespace {
 
 Exposure At(double seconds, double gain_db = 0.0) {
@@ -71,4 +71,4 @@ TEST(ExposureVerifier, ANonsenseReadingNeverPasses) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::exposure_verifier_test

@@ -7,7 +7,7 @@
 #include "core/image/image_io.h"
 #include "tests/unit/core/capture/simulated.h"
 
-namespace omnihdr {
+namespace omnihdr::recorder_test {
 namespace {
 
 constexpr Nanoseconds kNow{0};
@@ -198,4 +198,4 @@ TEST(Recorder, SubmitsWhileItStores) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::recorder_test

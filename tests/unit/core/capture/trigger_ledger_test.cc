@@ -5,7 +5,7 @@
 
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::trigger_ledger_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -110,4 +110,4 @@ RC_GTEST_PROP(TriggerLedger, EveryTriggerEndsExactlyOnceAndInOrder, ()) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::trigger_ledger_test

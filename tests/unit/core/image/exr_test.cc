@@ -21,7 +21,7 @@
 
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::exr_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -369,4 +369,4 @@ TEST_F(Exr, ASmallFileWithManyLargeChannelsIsRefused) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::exr_test

@@ -15,7 +15,7 @@
 
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::image_io_test {
 namespace {
 
 using Bytes = std::vector<std::byte>;
@@ -472,4 +472,4 @@ TEST(EncodeJpeg, APlainPictureClaimsNothing) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::image_io_test

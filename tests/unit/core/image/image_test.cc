@@ -6,7 +6,7 @@
 #include <type_traits>
 #include <utility>
 
-namespace omnihdr {
+namespace omnihdr::image_test {
 namespace {
 
 static_assert(!std::is_copy_constructible_v<Image<float>>, "a copy is written as Clone()");
@@ -56,4 +56,4 @@ TEST(ImageView, ACropKeepsTheStrideOfTheWhole) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::image_test

@@ -7,7 +7,7 @@
 
 #include "tests/support/chart_scene.h"
 
-namespace omnihdr {
+namespace omnihdr::color_chart_test {
 namespace {
 
 Pose Turned(double roll_deg, double yaw_deg, double pitch_deg, const Eigen::Vector3d& at) {
@@ -267,4 +267,4 @@ TEST(ChartGeometry, PointsOnALineFitNoChart) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::color_chart_test

@@ -15,7 +15,7 @@
 #include "core/photometry/stitch.h"
 #include "tests/support/ring.h"
 
-namespace omnihdr {
+namespace omnihdr::edge_aware_test {
 namespace {
 
 using testing::MakeRing;
@@ -326,4 +326,4 @@ TEST(EdgeAwareStitch, DevelopedPicturesAreAsWithout) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::edge_aware_test

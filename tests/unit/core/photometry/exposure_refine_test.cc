@@ -7,7 +7,7 @@
 
 #include "tests/support/room.h"
 
-namespace omnihdr {
+namespace omnihdr::exposure_refine_test {
 namespace {
 
 constexpr NoiseModel kNoise{.read = 0.5, .gain = 0.0255, .prnu = 0.0};
@@ -67,7 +67,7 @@ const std::vector<double> kTimes = {1.0 / 32.0, 0.25, 2.0};
 
 TEST(ExposureRefinement, RightLabelsStayAndReadRight) {
   for (const RefinedExposure& r : Refine(Take(kTimes, {1.0, 1.0, 1.0}))) {
-    EXPECT_EQ(r.verdict, ExposureVerdict::kLabelRight);
+    EXPECT_EQ(r.verdict, RefineVerdict::kLabelRight);
     EXPECT_EQ(r.scale, 1.0);
     EXPECT_NEAR(r.measured, 1.0, 0.002);
     EXPECT_GT(r.samples, 1000U);
@@ -85,7 +85,7 @@ TEST(ExposureRefinement, AWrongLabelIsFoundToBetterThanAPercentWhicheverFrameHas
         EXPECT_NEAR(refined[k].scale / errors[k], 1.0, 0.01)
             << "error " << error << " in frame " << wrong << ", frame " << k;
       }
-      EXPECT_EQ(refined[wrong].verdict, ExposureVerdict::kRefined);
+      EXPECT_EQ(refined[wrong].verdict, RefineVerdict::kRefined);
       const std::vector<std::string> notes = Notes(bracket, refined);
       ASSERT_EQ(notes.size(), 1U);
       EXPECT_EQ(notes[0].find(fmt::format("frame {}: exposure ", wrong)), 0U) << notes[0];
@@ -111,7 +111,7 @@ TEST(ExposureRefinement, AnErrorBeyondTheLimitIsRefusedAndTold) {
     const Bracket bracket = Take(kTimes, errors);
     const std::vector<RefinedExposure> refined = Refine(bracket);
     for (std::size_t k = 0; k < 3; ++k) EXPECT_EQ(refined[k].scale, 1.0);
-    EXPECT_EQ(refined[wrong].verdict, ExposureVerdict::kBeyondLimit);
+    EXPECT_EQ(refined[wrong].verdict, RefineVerdict::kBeyondLimit);
     EXPECT_NEAR(refined[wrong].measured, 1.4, 0.02);
     const std::vector<std::string> notes = Notes(bracket, refined);
     ASSERT_EQ(notes.size(), 1U);
@@ -134,13 +134,13 @@ TEST(ExposureRefinement, SmallStepsThatAddUpAreTheResponseAndMoveNoLabel) {
 TEST(ExposureRefinement, WhereOverlapsAreTooSmallNothingIsRefined) {
   const std::vector<RefinedExposure> far_apart = Refine(Take({1e-4, 1.0}, {1.0, 1.1}));
   for (const RefinedExposure& r : far_apart) {
-    EXPECT_EQ(r.verdict, ExposureVerdict::kNoOverlap);
+    EXPECT_EQ(r.verdict, RefineVerdict::kNoOverlap);
     EXPECT_EQ(r.scale, 1.0);
   }
   RefineOptions greedy;
   greedy.samples = 1'000'000;
   for (const RefinedExposure& r : Refine(Take(kTimes, {1.0, 1.1, 1.0}), greedy)) {
-    EXPECT_EQ(r.verdict, ExposureVerdict::kNoOverlap);
+    EXPECT_EQ(r.verdict, RefineVerdict::kNoOverlap);
     EXPECT_EQ(r.scale, 1.0);
   }
 }
@@ -163,7 +163,7 @@ TEST(ExposureRefinement, MaskedPixelsDoNotCount) {
   ASSERT_TRUE(refined);
   for (const RefinedExposure& r : *refined) {
     EXPECT_EQ(r.samples, 0U);
-    EXPECT_EQ(r.verdict, ExposureVerdict::kNoOverlap);
+    EXPECT_EQ(r.verdict, RefineVerdict::kNoOverlap);
   }
 }
 
@@ -171,8 +171,8 @@ TEST(ExposureRefinement, OneFrameHasNothingToBeTestedBy) {
   const std::vector<RefinedExposure> refined = Refine(Take({0.5}, {1.2}));
   ASSERT_EQ(refined.size(), 1U);
   EXPECT_EQ(refined[0].scale, 1.0);
-  EXPECT_EQ(refined[0].verdict, ExposureVerdict::kLabelRight);
+  EXPECT_EQ(refined[0].verdict, RefineVerdict::kLabelRight);
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::exposure_refine_test

@@ -6,7 +6,7 @@
 
 #include "core/photometry/clipped.h"
 
-namespace omnihdr {
+namespace omnihdr::exposure_report_test {
 namespace {
 
 TEST(ExposureCount, CountsGreyLevelsBelow5AndAbove250) {
@@ -90,4 +90,4 @@ TEST(Clipped, MeasuredPixelsKeepTheirColour) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::exposure_report_test

@@ -9,7 +9,7 @@
 
 #include "tests/support/room.h"
 
-namespace omnihdr {
+namespace omnihdr::measure_test {
 namespace {
 
 Exposure Seconds(double seconds, double gain_db = 0.0) {
@@ -521,4 +521,4 @@ TEST(Measure, ACurveThatIsFlatInTheMiddleOrOverflowsStaysFinite) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::measure_test

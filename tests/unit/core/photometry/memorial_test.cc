@@ -11,7 +11,7 @@
 #include "core/photometry/measure.h"
 #include "core/photometry/response_calibration.h"
 
-namespace omnihdr {
+namespace omnihdr::memorial_test {
 namespace {
 
 const std::filesystem::path kMemorial =
@@ -197,4 +197,4 @@ TEST_F(Memorial, TheMergedRangeIsFarMoreThanOneFramesRange) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::memorial_test

@@ -8,7 +8,7 @@
 #include <numbers>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::panorama_blur_test {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
@@ -135,4 +135,4 @@ TEST(GaussianBlur, TinyPicturesAreBlurredToo) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::panorama_blur_test

@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::response_calibration_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -293,4 +293,4 @@ TEST(ResponseCalibration, RefusesALinearFitOfWhatIsNotLinear) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::response_calibration_test

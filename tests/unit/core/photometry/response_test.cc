@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-namespace omnihdr {
+namespace omnihdr::response_test {
 namespace {
 
 std::array<std::vector<double>, 3> GammaTable() {
@@ -151,4 +151,4 @@ TEST(Response, ATableThatFallsOrIsNotWholeIsRefused) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::response_test

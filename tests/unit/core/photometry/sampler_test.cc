@@ -5,7 +5,7 @@
 #include <cmath>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::sampler_test {
 namespace {
 
 // Radiance R = column, G = row, B = 1.
@@ -138,4 +138,4 @@ TEST(PanoramaSampler, RaysLandWhereTheProjectionSays) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sampler_test

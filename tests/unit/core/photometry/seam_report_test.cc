@@ -9,7 +9,7 @@
 #include "core/photometry/stitch.h"
 #include "tests/support/ring.h"
 
-namespace omnihdr {
+namespace omnihdr::seam_report_test {
 namespace {
 
 using testing::MakeRing;
@@ -133,4 +133,4 @@ TEST(SeamReport, AFinePanoramaIsSampledAndSaysTheSame) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::seam_report_test

@@ -5,7 +5,7 @@
 #include <cmath>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::sensor_consistency_test {
 namespace {
 
 struct Truth {
@@ -119,4 +119,4 @@ TEST(SensorConsistency, ASensorWithoutUsableGreyPatchesIsNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sensor_consistency_test

@@ -11,7 +11,7 @@
 #include "core/photometry/measurement.h"
 #include "core/photometry/stitch_table.h"
 
-namespace omnihdr {
+namespace omnihdr::stitch_kernels_test {
 namespace {
 
 constexpr int kCount = 53;
@@ -122,4 +122,4 @@ TEST(BlendSamples, DoNotDependOnHowTheRowIsCut) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stitch_kernels_test

@@ -12,7 +12,7 @@
 #include "core/base/parallel_for.h"
 #include "tests/support/ring.h"
 
-namespace omnihdr {
+namespace omnihdr::stitch_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -544,4 +544,4 @@ TEST(Stitch, TheNaturalWidthFollowsTheSensorsResolution) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stitch_test

@@ -13,7 +13,7 @@
 #include "core/base/parallel_for.h"
 #include "core/photometry/tonemap.h"
 
-namespace omnihdr {
+namespace omnihdr::tone_operators_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -413,4 +413,4 @@ TEST(ToneMapOptions, OutOfRangeIsAnErrorThatNamesTheOption) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::tone_operators_test

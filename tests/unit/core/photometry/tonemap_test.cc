@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-namespace omnihdr {
+namespace omnihdr::tonemap_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -133,4 +133,4 @@ TEST(ToneMapReinhard, TheFourthChannelIsIgnored) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::tonemap_test

@@ -6,7 +6,7 @@
 
 #include "core/photometry/vignetting.h"
 
-namespace omnihdr {
+namespace omnihdr::vignetting_rig_test {
 namespace {
 
 const Vignetting kTruth{{-0.35, 0.12, -0.10}};
@@ -159,4 +159,4 @@ TEST(RigOverlaps, TheLensesReachIsMeasuredFromItsCentre) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::vignetting_rig_test

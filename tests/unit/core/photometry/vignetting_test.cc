@@ -6,7 +6,7 @@
 #include <limits>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::vignetting_test {
 namespace {
 
 constexpr int kWidth = 320;
@@ -245,4 +245,4 @@ TEST(Overlaps, TheOrderOfSamplesDoesNotMatter) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::vignetting_test

@@ -6,7 +6,7 @@
 
 #include "tests/support/chart_scene.h"
 
-namespace omnihdr {
+namespace omnihdr::white_balance_test {
 namespace {
 
 Response SrgbResponse() {
@@ -99,4 +99,4 @@ TEST(WhiteBalance, PatchesThatDisagreeAreAWarningAndWidenTheError) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::white_balance_test

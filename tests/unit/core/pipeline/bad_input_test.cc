@@ -12,7 +12,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/pipeline/processing.h"
 
-namespace omnihdr {
+namespace omnihdr::bad_input_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -621,4 +621,4 @@ TEST_F(BadInput, APerspectiveSessionCannotBeFusedAlongADrive) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::bad_input_test

@@ -8,7 +8,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/pipeline/processing.h"
 
-namespace omnihdr {
+namespace omnihdr::methods_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -131,4 +131,4 @@ TEST(PipelineOptions, TheThesisIsValidAndTooManyMergeNeighboursAreRefusedByName)
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::methods_test

@@ -14,7 +14,7 @@
 #include "core/pipeline/view_files.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::preview_test {
 namespace {
 
 class Preview : public ::testing::Test {
@@ -88,4 +88,4 @@ TEST_F(Preview, IsMadeByTheOperatorAndExposureAskedFor) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::preview_test

@@ -15,7 +15,7 @@
 #include "tests/support/small_session.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::response_session_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -188,4 +188,4 @@ TEST(ResponseSession, AMosaicIsReadAsColourOfHalfItsSize) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::response_session_test

@@ -7,7 +7,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/pipeline/processing.h"
 
-namespace omnihdr {
+namespace omnihdr::resume_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -99,4 +99,4 @@ TEST_P(Resume, ASavedStateThatIsDamagedIsNotUsed) {
 INSTANTIATE_TEST_SUITE_P(Neighbours, Resume, ::testing::Values(1, 2));
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::resume_test

@@ -12,7 +12,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/pipeline/processing.h"
 
-namespace omnihdr {
+namespace omnihdr::session_processor_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -335,4 +335,4 @@ TEST(SessionProcessor, OptionsOutOfRangeAreRefusedByName) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::session_processor_test

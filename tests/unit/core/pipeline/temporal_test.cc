@@ -12,7 +12,7 @@
 #include "core/pipeline/view_files.h"
 #include "tests/unit/core/pipeline/processing.h"
 
-namespace omnihdr {
+namespace omnihdr::temporal_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -242,4 +242,4 @@ TEST(NanPixels, AreInTheFileButNotInThePreview) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::temporal_test

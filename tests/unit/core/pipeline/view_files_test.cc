@@ -11,7 +11,7 @@
 #include "core/image/exr.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::view_files_test {
 namespace {
 
 // A lat-long view without anything special.
@@ -147,4 +147,4 @@ TEST(PipelineOptions, RefuseWhatTheExrFilesCannotSay) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_files_test

@@ -9,7 +9,7 @@
 #include "core/pose/feature_image.h"
 #include "tests/unit/core/pose/room.h"
 
-namespace omnihdr {
+namespace omnihdr::features_test {
 namespace {
 
 using Eigen::Vector3d;
@@ -175,4 +175,4 @@ TEST(Features, APictureTooSmallOrWithoutTextureHasNone) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::features_test

@@ -11,7 +11,7 @@
 #include "core/pose/scale.h"
 #include "core/pose/tracks.h"
 
-namespace omnihdr {
+namespace omnihdr::geometry_test {
 namespace {
 
 using Eigen::Quaterniond;
@@ -408,4 +408,4 @@ TEST(BundleAdjustment, AFewWildRaysHardlyMatter) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::geometry_test

@@ -7,7 +7,7 @@
 
 #include "core/base/parallel_for.h"
 
-namespace omnihdr {
+namespace omnihdr::matching_test {
 namespace {
 
 FeatureSet RandomSet(int count, std::mt19937& random) {
@@ -129,4 +129,4 @@ TEST(Matching, NothingMatchesAnEmptySet) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::matching_test

@@ -9,7 +9,7 @@
 #include "core/base/parallel_for.h"
 #include "tests/unit/core/pose/room.h"
 
-namespace omnihdr {
+namespace omnihdr::pose_tracker_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -334,4 +334,4 @@ TEST(PoseTracker, OptionsOutOfRangeAreRefusedByName) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::pose_tracker_test

@@ -6,7 +6,7 @@
 #include <limits>
 #include <numbers>
 
-namespace omnihdr {
+namespace omnihdr::disparity_metrics_test {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -65,4 +65,4 @@ TEST(CompareDisparity, WithoutTruthEverythingReadsNaN) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::disparity_metrics_test

@@ -9,7 +9,7 @@
 #include <random>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::picture_metrics_test {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -196,4 +196,4 @@ TEST(ReinhardDisplay, UnknownStaysUnknown) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::picture_metrics_test

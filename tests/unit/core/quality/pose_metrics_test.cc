@@ -5,7 +5,7 @@
 #include <numbers>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::pose_metrics_test {
 namespace {
 
 using Eigen::AngleAxisd;
@@ -68,4 +68,4 @@ TEST(ComparePoses, AChainThatNeverMovedHasScaleOne) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::pose_metrics_test

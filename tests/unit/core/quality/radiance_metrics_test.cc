@@ -11,7 +11,7 @@
 
 #include "core/quality/comparison_area.h"
 
-namespace omnihdr {
+namespace omnihdr::radiance_metrics_test {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -124,4 +124,4 @@ TEST(CompareRadiance, NothingInCommonReadsNaN) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::radiance_metrics_test

@@ -16,7 +16,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::disk_full_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -178,4 +178,4 @@ TEST(DiskFull, OnAFullFileSystemEveryTriggerIsStillAccountedFor) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::disk_full_test

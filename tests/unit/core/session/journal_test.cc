@@ -8,7 +8,7 @@
 #include "core/session/session_reader.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::journal_test {
 namespace {
 
 using ::testing::AllOf;
@@ -334,4 +334,4 @@ TEST(JournalFollower, AJournalThatShrinksIsAnError) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::journal_test

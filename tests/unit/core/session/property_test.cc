@@ -12,7 +12,7 @@
 #include "core/session/view_writer.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::property_test {
 namespace {
 
 // The same cases in every run, unless somebody asks for others.
@@ -275,4 +275,4 @@ RC_GTEST_PROP(SessionProperty, AFollowerSeesTheSameFramesHoweverTheJournalGrows,
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::property_test

@@ -8,7 +8,7 @@
 
 #include "core/session/session_reader.h"
 
-namespace omnihdr {
+namespace omnihdr::response_json_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -80,4 +80,4 @@ TEST(ResponseJson, WhatIsNoSessionIsLeftAlone) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::response_json_test

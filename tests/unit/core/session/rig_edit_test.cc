@@ -13,7 +13,7 @@
 #include "core/session/rig_file.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_edit_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -185,4 +185,4 @@ TEST(RigEdit, AFileGetsAllEditsInOneStep) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_edit_test

@@ -11,7 +11,7 @@
 
 #include "core/session/response_json.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_file_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -286,4 +286,4 @@ TEST(RigFile, AMissingFileIsNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_file_test

@@ -10,7 +10,7 @@
 
 #include "core/sphere/rig_report.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_import_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -203,4 +203,4 @@ TEST(RigImport, TheRealSixSensorHeadLooksForwardAroundAndUp) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_import_test

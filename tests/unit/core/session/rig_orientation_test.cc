@@ -14,7 +14,7 @@
 
 #include "core/session/rig_file.h"
 
-namespace omnihdr {
+namespace omnihdr::rig_orientation_test {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
@@ -196,4 +196,4 @@ INSTANTIATE_TEST_SUITE_P(Rigs, RigOrientation,
                          });
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_orientation_test

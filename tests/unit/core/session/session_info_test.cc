@@ -8,7 +8,7 @@
 #include "core/session/session_reader.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::session_info_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -212,4 +212,4 @@ TEST(SessionReader, AMissingFileIsNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::session_info_test

@@ -14,7 +14,7 @@
 #include "core/session/session_reader.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::session_writer_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -250,4 +250,4 @@ TEST(SessionWriter, CreateAfterACrashBeforeSessionJsonSucceeds) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::session_writer_test

@@ -4,7 +4,7 @@
 
 #include <map>
 
-namespace omnihdr {
+namespace omnihdr::toml_test {
 namespace {
 
 TEST(Toml, TheTablesOfAnArrayAreCountedAndKeepTheirLines) {
@@ -58,4 +58,4 @@ TEST(Toml, ATextOverTheLimitIsRefused) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::toml_test

@@ -14,7 +14,7 @@
 #include "core/session/session_reader.h"
 #include "tests/unit/core/session/session_samples.h"
 
-namespace omnihdr {
+namespace omnihdr::view_writer_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -220,4 +220,4 @@ TEST(ViewWriter, CompleteViewsAreThoseWithAReadableRecordInAscendingOrder) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_writer_test

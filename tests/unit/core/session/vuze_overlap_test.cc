@@ -15,7 +15,7 @@
 #include "core/image/image_io.h"
 #include "core/session/rig_file.h"
 
-namespace omnihdr {
+namespace omnihdr::vuze_overlap_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -165,4 +165,4 @@ TEST_F(VuzeOverlap, InverseRotationsOrPicturesUpsideDownDoNotMeet) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::vuze_overlap_test

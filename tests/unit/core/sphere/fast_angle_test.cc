@@ -6,7 +6,7 @@
 #include <numbers>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::fast_angle_test {
 namespace {
 
 constexpr double kTolerance = 1e-6;
@@ -60,4 +60,4 @@ TEST(FastAtan2, StaysWithinPlusMinusPi) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::fast_angle_test

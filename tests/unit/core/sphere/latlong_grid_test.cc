@@ -7,7 +7,7 @@
 
 #include "core/sphere/projection.h"
 
-namespace omnihdr {
+namespace omnihdr::latlong_grid_test {
 namespace {
 
 TEST(LatLongGrid, RaysAreThoseOfTheEquirectangularProjection) {
@@ -67,4 +67,4 @@ TEST(LatLongGrid, PixelsAreInsideEvenAtThePolesAndTheSeam) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::latlong_grid_test

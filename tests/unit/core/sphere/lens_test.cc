@@ -8,7 +8,7 @@
 #include <numbers>
 #include <random>
 
-namespace omnihdr {
+namespace omnihdr::lens_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -293,4 +293,4 @@ TEST(Lens, GridsThatDoNotUndoEachOtherAreRefused) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::lens_test

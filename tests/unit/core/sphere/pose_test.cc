@@ -4,7 +4,7 @@
 
 #include <numbers>
 
-namespace omnihdr {
+namespace omnihdr::pose_test {
 namespace {
 
 TEST(Pose, IsTheIdentityUntilSet) {
@@ -30,4 +30,4 @@ TEST(Pose, TheCamerasCentreIsItsTranslation) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::pose_test

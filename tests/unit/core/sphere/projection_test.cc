@@ -6,7 +6,7 @@
 #include <numbers>
 #include <vector>
 
-namespace omnihdr {
+namespace omnihdr::projection_test {
 namespace {
 
 constexpr double kPi = std::numbers::pi;
@@ -144,4 +144,4 @@ TEST(ProjectionKind, NamesRoundTrip) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::projection_test

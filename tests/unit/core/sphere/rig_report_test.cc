@@ -7,7 +7,7 @@
 #include <limits>
 #include <numbers>
 
-namespace omnihdr {
+namespace omnihdr::rig_report_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -98,4 +98,4 @@ TEST(RigReport, ALensThatLooksAtTheHeadItselfIsWarnedOf) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_report_test

@@ -7,7 +7,7 @@
 #include <limits>
 #include <numbers>
 
-namespace omnihdr {
+namespace omnihdr::rig_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -126,4 +126,4 @@ TEST(Rig, WhatMakesNoSenseIsRefusedByItsName) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::rig_test

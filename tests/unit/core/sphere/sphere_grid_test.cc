@@ -12,7 +12,7 @@
 #include <string>
 #include <utility>
 
-namespace omnihdr {
+namespace omnihdr::sphere_grid_test {
 namespace {
 
 using Eigen::Vector3d;
@@ -261,4 +261,4 @@ TEST(SphereGrid, AsFineAsMeansPixelsOfTheSameSize) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sphere_grid_test

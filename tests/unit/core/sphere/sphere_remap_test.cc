@@ -11,7 +11,7 @@
 
 #include "core/base/parallel_for.h"
 
-namespace omnihdr {
+namespace omnihdr::sphere_remap_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -228,4 +228,4 @@ TEST(SphereRemap, FixedPointAndFloatAgreeToHalfACode) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sphere_remap_test

@@ -8,7 +8,7 @@
 
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::fuse_test {
 namespace {
 
 using testing::Drive;
@@ -281,4 +281,4 @@ TEST(MapBrightness, IsTheMeanCodeAtEachPixelsCentre) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::fuse_test

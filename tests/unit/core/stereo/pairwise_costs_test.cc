@@ -11,7 +11,7 @@
 #include "core/stereo/sgm.h"
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::pairwise_costs_test {
 namespace {
 
 using testing::Drive;
@@ -175,4 +175,4 @@ TEST(MatchingCosts, AreTheSameBytesOnOneAndOnTwoWorkers) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::pairwise_costs_test

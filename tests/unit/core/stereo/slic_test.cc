@@ -9,7 +9,7 @@
 
 #include "core/base/parallel_for.h"
 
-namespace omnihdr {
+namespace omnihdr::slic_test {
 namespace {
 
 constexpr int kWidth = 512;
@@ -131,4 +131,4 @@ TEST(FindSuperpixels, AreTheSameOnOneAndOnTwoWorkers) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::slic_test

@@ -8,7 +8,7 @@
 
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::stability_test {
 namespace {
 
 using testing::Drive;
@@ -183,4 +183,4 @@ TEST(FuseCrossChecked, AFarOutlierOfOneMapDoesNotPullTheViewBack) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stability_test

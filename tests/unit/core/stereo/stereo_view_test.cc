@@ -8,7 +8,7 @@
 
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::stereo_view_test {
 namespace {
 
 constexpr LogScale kScale = {.floor = 1e-3F, .ln_black = -6.9F, .codes_per_ln = 20.0F};
@@ -177,4 +177,4 @@ TEST(HalveMeasurement, LeavesMaskedPixelsOut) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stereo_view_test

@@ -7,7 +7,7 @@
 
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::superpixel_fill_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -153,4 +153,4 @@ TEST(LogColours, EqualRatiosAreEqualSteps) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::superpixel_fill_test

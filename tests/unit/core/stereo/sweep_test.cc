@@ -9,7 +9,7 @@
 #include "core/stereo/sgm.h"
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::sweep_test {
 namespace {
 
 using testing::Drive;
@@ -290,4 +290,4 @@ TEST(SemiGlobal, RowsCloseRoundTheGlobe) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::sweep_test

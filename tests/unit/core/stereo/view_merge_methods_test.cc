@@ -6,7 +6,7 @@
 #include "core/stereo/view_merge.h"
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::view_merge_methods_test {
 namespace {
 
 constexpr int kWidth = 128;
@@ -93,4 +93,4 @@ TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_merge_methods_test

@@ -10,7 +10,7 @@
 #include "core/base/parallel_for.h"
 #include "tests/unit/core/stereo/drive.h"
 
-namespace omnihdr {
+namespace omnihdr::view_merge_test {
 namespace {
 
 using testing::Drive;
@@ -521,4 +521,4 @@ TEST(ExposureTest, WithoutViewsAroundThereIsNothingToTestBy) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_merge_test

@@ -10,7 +10,7 @@
 
 #include "tests/support/room.h"
 
-namespace omnihdr {
+namespace omnihdr::view_synthesis_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -171,4 +171,4 @@ TEST(ViewSynthesis, BadInputIsRefusedWithTheReason) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_synthesis_test

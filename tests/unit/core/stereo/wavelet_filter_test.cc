@@ -9,7 +9,7 @@
 
 #include "core/base/parallel_for.h"
 
-namespace omnihdr {
+namespace omnihdr::wavelet_filter_test {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -135,4 +135,4 @@ TEST(FilterWavelet, IsTheSameBytesOnOneAndOnTwoWorkers) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::wavelet_filter_test

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-namespace omnihdr {
+namespace omnihdr::event_hub_test {
 namespace {
 
 constexpr Nanoseconds kNow{0};
@@ -52,4 +52,4 @@ TEST(EventHub, AClosedHubEndsItsListeners) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::event_hub_test

@@ -16,7 +16,7 @@
 
 #include "daemon/api/client.h"
 
-namespace omnihdr {
+namespace omnihdr::server_test {
 namespace {
 
 using testing::HasSubstr;
@@ -269,4 +269,4 @@ TEST_F(Server, NobodyThereIsSaidInPlainWords) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::server_test

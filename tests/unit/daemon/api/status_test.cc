@@ -3,7 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-namespace omnihdr {
+namespace omnihdr::status_test {
 namespace {
 
 using testing::HasSubstr;
@@ -88,4 +88,4 @@ TEST(Status, TheProgressLineHasTheFourCounts) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::status_test

@@ -12,7 +12,7 @@
 #include "daemon/logging.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::app_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -367,4 +367,4 @@ TEST_F(AppTest, ManyClientsAtOnceAreServed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::app_test

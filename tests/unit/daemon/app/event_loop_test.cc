@@ -7,7 +7,7 @@
 
 #include <thread>
 
-namespace omnihdr {
+namespace omnihdr::event_loop_test {
 namespace {
 
 using std::chrono::milliseconds;
@@ -128,4 +128,4 @@ TEST(EventLoop, ATerminationSignalIsAnEvent) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::event_loop_test

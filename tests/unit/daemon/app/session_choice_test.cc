@@ -7,7 +7,7 @@
 
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::session_choice_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -89,4 +89,4 @@ TEST_F(Choice, ASessionThatCouldNotBeWrittenIsRefusedAtOnce) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::session_choice_test

@@ -4,7 +4,7 @@
 
 #include "daemon/logging.h"
 
-namespace omnihdr {
+namespace omnihdr::supervisor_test {
 namespace {
 
 using std::chrono::seconds;
@@ -44,4 +44,4 @@ TEST(FloodGate, OneMessageASecondPassesAndStandsForTheRest) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::supervisor_test

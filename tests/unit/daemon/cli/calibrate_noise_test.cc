@@ -18,7 +18,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::calibrate_noise_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -189,4 +189,4 @@ TEST_F(CalibrateNoiseCommand, EachRefusalSaysWhyAndDrawsNothing) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::calibrate_noise_test

@@ -20,7 +20,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::calibrate_pictures_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -221,4 +221,4 @@ TEST_F(CalibratePictures, WhatIsWrongOnTheCommandLineIsNamed) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::calibrate_pictures_test

@@ -19,7 +19,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::calibrate_response_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -221,4 +221,4 @@ TEST_F(CalibrateResponseCommand, WhatIsWrongIsNamedAndTheRigIsLeftAlone) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::calibrate_response_test

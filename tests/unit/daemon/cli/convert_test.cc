@@ -15,7 +15,7 @@
 #include "daemon/cli/command.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::convert_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -254,4 +254,4 @@ TEST_F(Convert, WhatIsWrongIsSaidWithWhatWasExpected) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::convert_test

@@ -18,7 +18,7 @@
 #include "daemon/cli/command.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::picture_commands_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -169,4 +169,4 @@ TEST_F(PictureCommands, AWrongCallIsOneMessageThatNamesWhatIsWrong) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::picture_commands_test

@@ -18,7 +18,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::process_command_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -91,4 +91,4 @@ TEST_F(ProcessCommand, GainsOutOfRangeAreRefusedBeforeAnythingIsRead) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::process_command_test

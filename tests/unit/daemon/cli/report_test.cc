@@ -16,7 +16,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::report_test {
 namespace {
 
 class Report : public ::testing::Test {
@@ -88,4 +88,4 @@ TEST_F(Report, AMaskOfNeitherTheFramesNorThePanoramasShapeIsRefused) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::report_test

@@ -23,7 +23,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::stitch_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -432,4 +432,4 @@ TEST_F(StitchCommand, EveryBadInputHasItsMessage) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::stitch_test

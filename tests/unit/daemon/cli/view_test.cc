@@ -15,7 +15,7 @@
 #include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/cli/run_command.h"
 
-namespace omnihdr {
+namespace omnihdr::view_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -112,4 +112,4 @@ TEST_F(ViewCommand, WhatCannotBeShownIsSaid) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::view_test

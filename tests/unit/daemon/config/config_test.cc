@@ -14,7 +14,7 @@
 
 #include "core/base/file.h"
 
-namespace omnihdr {
+namespace omnihdr::config_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -463,4 +463,4 @@ TEST(ConfigShow, JsonHoldsEveryKeyWithValueAndSource) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::config_test

@@ -18,7 +18,7 @@
 #include "core/image/image_io.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::comparison_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -252,4 +252,4 @@ print('%.12f' % structural_similarity(luma(sys.argv[1]), luma(sys.argv[2]), data
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::comparison_test

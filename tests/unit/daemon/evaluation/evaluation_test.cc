@@ -20,7 +20,7 @@
 #include "daemon/evaluation/contact_sheet.h"
 #include "drivers/sim/world.h"
 
-namespace omnihdr {
+namespace omnihdr::evaluation_test {
 namespace {
 
 constexpr int kWidth = 128;
@@ -66,12 +66,12 @@ struct View {
   bool metric = false;
 };
 
-class Evaluation : public testing::Test {
+class Evaluation : public ::testing::Test {
  protected:
   void SetUp() override {
-    directory_ = std::filesystem::path(testing::TempDir()) /
+    directory_ = std::filesystem::path(::testing::TempDir()) /
                  ("evaluation_" +
-                  std::string(testing::UnitTest::GetInstance()->current_test_info()->name()));
+                  std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
     std::filesystem::remove_all(directory_);
     info_.created = "2026-01-01T00:00:00Z";
     info_.camera.width = kWidth;
@@ -342,4 +342,4 @@ TEST_F(Evaluation, AContactSheetWithoutAnyViewIsAnError) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::evaluation_test

@@ -8,7 +8,7 @@
 #include <limits>
 #include <string>
 
-namespace omnihdr {
+namespace omnihdr::false_colour_test {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
@@ -149,4 +149,4 @@ TEST(ScaleBar, FitsUnderASmallPicture) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::false_colour_test

@@ -7,7 +7,7 @@
 #include <limits>
 #include <string>
 
-namespace omnihdr {
+namespace omnihdr::plot_test {
 namespace {
 
 using ::testing::HasSubstr;
@@ -91,4 +91,4 @@ TEST(Plot, AnUnknownEndingIsAUsageError) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::plot_test

@@ -11,7 +11,7 @@
 #include "tests/support/small_session.h"
 #include "tests/support/temporary_directory.h"
 
-namespace omnihdr {
+namespace omnihdr::suite_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -86,4 +86,4 @@ TEST(Rivals, NeedASceneThatIsKnown) {
 }
 
 }  // namespace
-}  // namespace omnihdr
+}  // namespace omnihdr::suite_test
