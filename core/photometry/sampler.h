@@ -35,6 +35,13 @@ class PanoramaSampler {
     }
   }
 
+  // What PixelFromRay works with, for those that do whole rows: columns a radian; rows a radian, on
+  // a cylinder rows a unit of z; the row of a cylinder's z = 0.
+  bool is_cylinder() const { return is_cylinder_; }
+  float x_scale() const { return x_scale_; }
+  float y_scale() const { return y_scale_; }
+  float y_offset() const { return y_offset_; }
+
   // Image point of a ray (any length).
   void PixelFromRay(float rx, float ry, float rz, float* x, float* y) const {
     constexpr float kPi = 3.14159265358979324F;

@@ -14,6 +14,7 @@
 #include "core/image/image_io.h"
 #include "core/photometry/exposure_refine.h"
 #include "core/pipeline/frame_measurer.h"
+#include "core/pipeline/made_with.h"
 #include "core/pipeline/rig_masks.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
@@ -91,6 +92,10 @@ class SessionProcessorImpl final : public SessionProcessor {
     OMNIHDR_TRY(RemoveTemporaryViews(views_));
     OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views_));
     for (const PositionId position : complete) complete_.insert(Value(position));
+    OMNIHDR_ASSIGN(made_with_, MadeWith(options_, session_));
+    if (const std::string otherwise = OtherwiseMade(views_, made_with_); !otherwise.empty()) {
+      Warn(otherwise);
+    }
     if (!is_temporal_) {
       OMNIHDR_ASSIGN(pipeline_, ViewPipeline::Create(options_));
     }
@@ -249,6 +254,7 @@ class SessionProcessorImpl final : public SessionProcessor {
       const std::int64_t candidate = positions[static_cast<std::size_t>(k)];
       Result<ViewRecord> record = ReadViewRecord(views_, PositionId{candidate});
       if (!record || record->resume_json.empty()) continue;
+      if (record->made_with != made_with_) continue;  // its state is not the one to be had now
       const nlohmann::json state = nlohmann::json::parse(record->resume_json, nullptr, false);
       if (!state.is_object() || !state.contains("after") || !state["after"].is_number_integer()) {
         continue;
@@ -309,6 +315,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     context.chromaticities = options_.chromaticities;
     context.white_luminance = options_.white_luminance;
     context.nan = options_.nan;
+    context.made_with = made_with_;
     return context;
   }
 
@@ -518,6 +525,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   std::int64_t newest_ = -1;  // the highest position in the journal so far
   std::size_t frames_at_newest_ = 0;
   std::map<std::int64_t, ViewContext> references_;  // of positions inside the pipeline
+  std::string made_with_;
   std::set<std::int64_t> complete_;
   std::set<std::int64_t> told_;
   std::deque<Waiting> waiting_;

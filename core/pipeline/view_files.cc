@@ -1,12 +1,14 @@
 #include "core/pipeline/view_files.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <limits>
 #include <numbers>
 
 #include "core/base/file.h"
+#include "core/base/parallel_for.h"
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
 #include "core/photometry/clipped.h"
@@ -137,21 +139,36 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
     MarkNan(view.origin, context.nan, &marked);
   }
   const Image<float>& radiance = marked.empty() ? view.radiance : marked;
-  OMNIHDR_TRY(WriteExr(directory / "radiance.exr",
-                       {{"R", radiance, type, 0},
-                        {"G", radiance, type, 1},
-                        {"B", radiance, type, 2},
-                        {"origin", origin, ExrPixelType::kHalf, 0}},
-                       radiance_attributes, ExrCompression::kPiz));
-  if (with_disparity) {
-    OMNIHDR_TRY(WriteExr(directory / "disparity.exr",
-                         {{"disparity", view.disparity, ExrPixelType::kFloat, 0},
-                          {"confidence", view.confidence, ExrPixelType::kHalf, 0}},
-                         attributes, ExrCompression::kZip));
-  }
-  OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
-                 Preview(view.radiance, record->orientation, is_latlong, context));
-  OMNIHDR_TRY(WriteFileAtomic(directory / "preview.jpg", jpeg));
+  const auto write_radiance = [&]() -> Status {
+    return WriteExr(directory / "radiance.exr",
+                    {{"R", radiance, type, 0},
+                     {"G", radiance, type, 1},
+                     {"B", radiance, type, 2},
+                     {"origin", origin, ExrPixelType::kHalf, 0}},
+                    radiance_attributes, ExrCompression::kPiz);
+  };
+  const auto write_disparity = [&]() -> Status {
+    if (!with_disparity) return {};
+    return WriteExr(directory / "disparity.exr",
+                    {{"disparity", view.disparity, ExrPixelType::kFloat, 0},
+                     {"confidence", view.confidence, ExrPixelType::kHalf, 0}},
+                    attributes, ExrCompression::kZip);
+  };
+  const auto write_preview = [&]() -> Status {
+    OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,
+                   Preview(view.radiance, record->orientation, is_latlong, context));
+    return WriteFileAtomic(directory / "preview.jpg", jpeg);
+  };
+  // Compressing takes longer than merging: side by side.
+  std::array<Status, 3> written;
+  ParallelFor(3, 1, [&](int begin, int end) {
+    for (int k = begin; k < end; ++k) {
+      written[static_cast<std::size_t>(k)] = k == 0   ? write_disparity()
+                                             : k == 1 ? write_radiance()
+                                                      : write_preview();
+    }
+  });
+  for (Status& status : written) OMNIHDR_TRY(std::move(status));
   return WriteFileAtomic(directory / "view.json", FormatViewRecord(*record));
 }
 
@@ -182,6 +199,7 @@ ViewRecord RecordOfView(const FinishedView& view, const std::string& mode) {
 Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView& view,
                       const ViewContext& context) {
   ViewRecord record = RecordOfView(view, context.mode);
+  record.made_with = context.made_with;
   return WritePictures(directory, view.merged, record.position, true, true, context, &record);
 }
 
@@ -193,6 +211,7 @@ Status WriteTemporalViewFiles(const std::filesystem::path& directory, const Temp
   record.reference = Value(view.reference);
   record.mode = context.mode;
   record.warnings = view.warnings;
+  record.made_with = context.made_with;
   return WritePictures(directory, view.merged, view.position, view.is_latlong, false, context,
                        &record);
 }

@@ -31,6 +31,7 @@ struct ViewContext {
   Chromaticities chromaticities = kRec709;
   double white_luminance = 0.0;  // cd/m² of radiance (1, 1, 1); 0 = unknown
   NanPixels nan = NanPixels::kNever;
+  std::string made_with;           // see core/pipeline/made_with.h
   std::vector<std::string> notes;  // about the position's frames, for warnings
 };
 

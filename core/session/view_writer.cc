@@ -202,6 +202,7 @@ std::string FormatViewRecord(const ViewRecord& record) {
   radiance.Add("valid_fraction", record.valid_fraction);
   view.AddObject("radiance", std::move(radiance));
   view.Add("warnings", record.warnings);
+  if (!record.made_with.empty()) view.Add("made_with", record.made_with);
   if (!record.resume_json.empty()) view.AddRaw("resume", record.resume_json);
   return std::move(view).Finish();
 }
@@ -251,6 +252,7 @@ Result<ViewRecord> ParseViewRecord(std::string_view text, const std::string& nam
       record.warnings.push_back(warning.get<std::string>());
     }
   }
+  OMNIHDR_ASSIGN(record.made_with, view.StringOr("made_with", ""));
   if (const Json* resume = view.Find("resume")) record.resume_json = resume->dump();
   return record;
 }

@@ -27,6 +27,7 @@ struct ViewRecord {
   double radiance_max = 0.0;
   double valid_fraction = 0.0;
   std::vector<std::string> warnings;
+  std::string made_with;  // what it was made with beside the frames (additive key); "" = not told
   // JSON object as text: what the pipeline needs to continue after this view (additive key
   // "resume").
   std::string resume_json;

@@ -53,6 +53,8 @@ class LatLongGrid {
   }
   int width() const { return width_; }
   int height() const { return height_; }
+  float x_scale() const { return x_scale_; }  // columns a radian
+  float y_scale() const { return y_scale_; }  // rows a radian
 
  private:
   int width_;

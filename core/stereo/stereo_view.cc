@@ -5,9 +5,12 @@
 #include <cmath>
 #include <numbers>
 
+#include "core/base/fast_math.h"
 #include "core/base/parallel_for.h"
+#include "core/base/simd.h"
 #include "core/photometry/sampler.h"
 #include "core/photometry/tonemap.h"
+#include "core/stereo/row_geometry.h"
 
 namespace omnihdr {
 namespace {
@@ -20,13 +23,29 @@ constexpr float kGradientCodesPerLn = 60.0F;
 constexpr float kDarkNoiseFloors = 2.0F;
 constexpr std::uint64_t kNothing = 0x00FF00FF00FF00FFULL;  // every lane lo = 255, hi = 0
 
-// One texel before packing.
-struct LaneSample {
-  float ln_r = 0.0F;
-  float ln_b = 0.0F;
-  float ln_luminance = 0.0F;
-  std::uint8_t flags = kMasked;
+// Texels before packing, rows × width of each: radiance, or its code on the log scale.
+struct LaneSamples {
+  Image<float> red;
+  Image<float> blue;
+  Image<float> luminance;
+  Image<std::uint8_t> flags;
 };
+
+// Code (LogScale) of each radiance, in place; of luminance the natural logarithm.
+OMNIHDR_SIMD_CLONES
+void ToLogarithms(float* __restrict red, float* __restrict blue, float* __restrict luminance,
+                  int count, float floor, float ln_black, float codes_per_ln) {
+  constexpr float kLn2 = std::numbers::ln2_v<float>;
+  constexpr auto kFirst = static_cast<float>(kLowestCode);
+  for (int j = 0; j < count; ++j) {
+    const float r = red[j] > 0.0F ? red[j] : 0.0F;
+    const float b = blue[j] > 0.0F ? blue[j] : 0.0F;
+    const float y = luminance[j] > 0.0F ? luminance[j] : 0.0F;
+    red[j] = kFirst + (kLn2 * FastLog2(r + floor) - ln_black) * codes_per_ln;
+    blue[j] = kFirst + (kLn2 * FastLog2(b + floor) - ln_black) * codes_per_ln;
+    luminance[j] = kLn2 * FastLog2(y + floor);
+  }
+}
 
 std::uint64_t Byte(std::uint64_t value, int position) { return value << (8 * position); }
 
@@ -36,12 +55,12 @@ std::uint64_t Interval(float code, bool saturated, bool dark, int position) {
   return Byte(dark ? 0 : v, position) | Byte(saturated ? 255 : v, position + 1);
 }
 
-std::uint64_t Gradient(const LaneSample& before, const LaneSample& after, int position) {
-  if (((before.flags | after.flags) & (kMasked | kSaturatedAny | kDarkAny)) != 0) {
+// `flags`: of both places; `change`: of the logarithm of luminance between them.
+std::uint64_t Gradient(std::uint8_t flags, float change, int position) {
+  if ((flags & (kMasked | kSaturatedAny | kDarkAny)) != 0) {
     return Byte(0, position) | Byte(255, position + 1);
   }
-  const float code =
-      128.0F + kGradientCodesPerLn * 0.5F * (after.ln_luminance - before.ln_luminance);
+  const float code = 128.0F + kGradientCodesPerLn * 0.5F * change;
   const auto v = static_cast<std::uint64_t>(std::clamp(code + 0.5F, 1.0F, 254.0F));
   return Byte(v, position) | Byte(v, position + 1);
 }
@@ -124,33 +143,42 @@ StereoView MakeStereoView(const Measurement& measurement,
     cos_sin[static_cast<std::size_t>(j)] = {static_cast<float>(std::cos(theta)),
                                             static_cast<float>(std::sin(theta))};
   }
-  std::vector<LaneSample> samples(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width));
-  const auto sample_at = [&](int i, int j) -> LaneSample& {
-    return samples[static_cast<std::size_t>(i) * static_cast<std::size_t>(width) +
-                   static_cast<std::size_t>(j)];
-  };
+  LaneSamples samples = {
+      Image<float>::Uninitialized(width, rows), Image<float>::Uninitialized(width, rows),
+      Image<float>::Uninitialized(width, rows), Image<std::uint8_t>::Uninitialized(width, rows)};
   ParallelFor(rows, 8, [&](int begin, int end) {
+    RayRow rays;
+    rays.x.resize(static_cast<std::size_t>(width));
+    rays.y.resize(static_cast<std::size_t>(width));
+    rays.z.resize(static_cast<std::size_t>(width));
+    PointRow points;
     for (int i = begin; i < end; ++i) {
       const double phi = std::numbers::pi * i / view.height;
       const auto sin_phi = static_cast<float>(std::sin(phi));
       const auto cos_phi = static_cast<float>(std::cos(phi));
-      for (int j = 0; j < width; ++j) {
-        const auto& [c, s] = cos_sin[static_cast<std::size_t>(j)];
-        const Eigen::Vector3f ray =
-            camera_from_world * Eigen::Vector3f(sin_phi * c, sin_phi * s, cos_phi);
-        const RadianceSample sample = sampler.Sample(ray);
-        LaneSample& out = sample_at(i, j);
-        out.flags = sample.flags;
-        if ((sample.flags & kMasked) != 0) continue;
+      for (std::size_t j = 0; j < cos_sin.size(); ++j) {
+        rays.x[j] = sin_phi * cos_sin[j][0];
+        rays.y[j] = sin_phi * cos_sin[j][1];
+        rays.z[j] = cos_phi;
+      }
+      PointsInView(rays, camera_from_world, sampler, &points);
+      float* red = samples.red.row(i);
+      float* blue = samples.blue.row(i);
+      float* luminance = samples.luminance.row(i);
+      std::uint8_t* flags = samples.flags.row(i);
+      for (std::size_t j = 0; j < cos_sin.size(); ++j) {
+        const RadianceSample sample = sampler.SampleAt(points.x[j], points.y[j]);
+        flags[j] = sample.flags;
         for (std::size_t k = 0; k < 3; ++k) {
           if (sample.rgb[k] >= dark_limit) {
-            out.flags = static_cast<std::uint8_t>(out.flags & ~(kDarkR << k));
+            flags[j] = static_cast<std::uint8_t>(flags[j] & ~(kDarkR << k));
           }
         }
-        out.ln_r = std::log(std::max(sample.rgb[0], 0.0F) + scale.floor);
-        out.ln_b = std::log(std::max(sample.rgb[2], 0.0F) + scale.floor);
-        out.ln_luminance = std::log(std::max(Luminance(sample.rgb.data()), 0.0F) + scale.floor);
+        red[j] = sample.rgb[0];
+        blue[j] = sample.rgb[2];
+        luminance[j] = Luminance(sample.rgb.data());
       }
+      ToLogarithms(red, blue, luminance, width, scale.floor, scale.ln_black, scale.codes_per_ln);
     }
   });
 
@@ -161,17 +189,25 @@ StereoView MakeStereoView(const Measurement& measurement,
       std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
       const int above = std::max(0, i - kStep);
       const int below = std::min(view.height, i + kStep);
+      const float* red = samples.red.row(i);
+      const float* blue = samples.blue.row(i);
+      const float* luminance = samples.luminance.row(i);
+      const float* luminance_above = samples.luminance.row(above);
+      const float* luminance_below = samples.luminance.row(below);
+      const std::uint8_t* flags = samples.flags.row(i);
+      const std::uint8_t* flags_above = samples.flags.row(above);
+      const std::uint8_t* flags_below = samples.flags.row(below);
       for (int j = 0; j < width; ++j) {
-        const LaneSample& s = sample_at(i, j);
-        if ((s.flags & kMasked) != 0) continue;
-        const auto code = [&scale](float ln) {
-          return static_cast<float>(kLowestCode) + (ln - scale.ln_black) * scale.codes_per_ln;
-        };
-        out[j] = Interval(code(s.ln_r), (s.flags & kSaturatedR) != 0, (s.flags & kDarkR) != 0, 0) |
-                 Interval(code(s.ln_b), (s.flags & kSaturatedB) != 0, (s.flags & kDarkB) != 0, 2) |
-                 Gradient(sample_at(i, (j + width - kStep) % width),
-                          sample_at(i, (j + kStep) % width), 4) |
-                 Gradient(sample_at(above, j), sample_at(below, j), 6);
+        const std::uint8_t f = flags[j];
+        if ((f & kMasked) != 0) continue;
+        const int left = j >= kStep ? j - kStep : j - kStep + width;
+        const int right = j + kStep < width ? j + kStep : j + kStep - width;
+        out[j] = Interval(red[j], (f & kSaturatedR) != 0, (f & kDarkR) != 0, 0) |
+                 Interval(blue[j], (f & kSaturatedB) != 0, (f & kDarkB) != 0, 2) |
+                 Gradient(static_cast<std::uint8_t>(flags[left] | flags[right]),
+                          luminance[right] - luminance[left], 4) |
+                 Gradient(static_cast<std::uint8_t>(flags_above[j] | flags_below[j]),
+                          luminance_below[j] - luminance_above[j], 6);
       }
       out[width] = out[0];
     }

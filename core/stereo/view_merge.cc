@@ -16,7 +16,9 @@
 #include "core/photometry/sampler.h"
 #include "core/photometry/tonemap.h"
 #include "core/sphere/latlong_grid.h"
+#include "core/stereo/agreement_field.h"
 #include "core/stereo/fuse.h"
+#include "core/stereo/row_geometry.h"
 
 namespace omnihdr {
 namespace {
@@ -45,11 +47,9 @@ class DisparityLookup {
     float confidence = 0.0F;
   };
 
-  // `code` is the full-resolution brightness on the scale of the map's brightness, < 0 if unknown.
-  Value At(const Eigen::Vector3f& ray_in_world, float code) const {
-    float px = 0.0F;
-    float py = 0.0F;
-    grid_.Point(ray_in_world, &px, &py);
+  // At a point of the map. `code` is the full-resolution brightness on the scale of the map's
+  // brightness, < 0 if unknown.
+  Value At(float px, float py, float code) const {
     const float fx = px - 0.5F;
     const float fy = py - 0.5F;
     const int x0 = static_cast<int>(std::floor(fx));
@@ -100,106 +100,6 @@ class DisparityLookup {
   LatLongGrid grid_;
 };
 
-// How the reference's radiance compares with one source's where both measured the same surface: a
-// smooth field of reference / source over the sphere (light that changed, wrong exposure labels,
-// vignetting, a tone curve that is not quite undone, gloss) and how much they still differ beyond
-// what noise explains. Ratios are averaged, not their logarithms: the reference may be dark and
-// noisy, and the mean of a ratio to a cleaner source stays unbiased. The field of two consistent
-// views is one.
-class AgreementField {
- public:
-  static constexpr int kWidth = 128;
-  static constexpr int kHeight = 64;
-
-  struct Residual {
-    int cell = 0;
-    float ratio = 1.0F;  // reference / source
-    float noise = 0.0F;  // variance of the ratio that noise and misregistration explain
-  };
-
-  void Fit(const std::vector<Residual>& residuals) {
-    field_.assign(static_cast<std::size_t>(kWidth) * kHeight, 1.0F);
-    excess_ = kUnknownExcess;
-    if (residuals.size() < kLeastResiduals) return;
-    std::vector<float> values(residuals.size());
-    const auto median_of = [&values] {
-      const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-      std::nth_element(values.begin(), middle, values.end());
-      return *middle;
-    };
-    std::transform(residuals.begin(), residuals.end(), values.begin(),
-                   [](const Residual& r) { return r.ratio; });
-    const float global = std::clamp(median_of(), 1.0F / kLargestFactor, kLargestFactor);
-    // Robust means around the global ratio: each residual counts less the farther it lies.
-    std::vector<double> sum(field_.size());
-    std::vector<double> weight(field_.size());
-    for (const Residual& r : residuals) {
-      const double gap = r.ratio - global;
-      const double variance = r.noise + kCellSpread * kCellSpread;
-      const double w = 1.0 / (variance * (1.0 + gap * gap / (9.0 * variance)));
-      sum[static_cast<std::size_t>(r.cell)] += w * gap;
-      weight[static_cast<std::size_t>(r.cell)] += w;
-    }
-    static constexpr std::array<double, 5> kFalloff = {0.135, 0.607, 1.0, 0.607, 0.135};
-    for (int y = 0; y < kHeight; ++y) {
-      for (int x = 0; x < kWidth; ++x) {
-        double s = 0.0;
-        double w = kPriorWeight;
-        for (int dy = -2; dy <= 2; ++dy) {
-          const int cy = y + dy;
-          if (cy < 0 || cy >= kHeight) continue;
-          for (int dx = -2; dx <= 2; ++dx) {
-            const auto k = static_cast<std::size_t>(cy * kWidth + (x + dx + kWidth) % kWidth);
-            const double falloff = kFalloff[static_cast<std::size_t>(dx + 2)] *
-                                   kFalloff[static_cast<std::size_t>(dy + 2)];
-            s += falloff * sum[k];
-            w += falloff * weight[k];
-          }
-        }
-        field_[static_cast<std::size_t>(y * kWidth + x)] =
-            std::clamp(global + static_cast<float>(s / w), 1.0F / kLargestFactor, kLargestFactor);
-      }
-    }
-    // What is left over, robustly, less what noise explains.
-    std::transform(residuals.begin(), residuals.end(), values.begin(), [this](const Residual& r) {
-      return std::abs(r.ratio - field_[static_cast<std::size_t>(r.cell)]);
-    });
-    const float deviation = 1.4826F * median_of();
-    std::transform(residuals.begin(), residuals.end(), values.begin(),
-                   [](const Residual& r) { return r.noise; });
-    excess_ = std::clamp(deviation * deviation - median_of(), 0.0F, kUnknownExcess);
-  }
-
-  // Factor that brings the source's radiance to the reference's, at a point in cells.
-  float Factor(float x, float y) const {
-    const float fx = x - 0.5F;
-    const float fy = std::clamp(y - 0.5F, 0.0F, static_cast<float>(kHeight - 1));
-    const int x0 = static_cast<int>(std::floor(fx));
-    const int y0 = static_cast<int>(fy);
-    const int y1 = std::min(y0 + 1, kHeight - 1);
-    const float ax = fx - static_cast<float>(x0);
-    const float ay = fy - static_cast<float>(y0);
-    const auto at = [this](int cx, int cy) {
-      return field_[static_cast<std::size_t>(cy * kWidth + (cx + kWidth) % kWidth)];
-    };
-    const float above = (1.0F - ax) * at(x0, y0) + ax * at(x0 + 1, y0);
-    const float below = (1.0F - ax) * at(x0, y1) + ax * at(x0 + 1, y1);
-    return (1.0F - ay) * above + ay * below;
-  }
-  // Relative variance of the source's radiance beyond noise and misregistration.
-  float excess() const { return excess_; }
-
- private:
-  static constexpr std::size_t kLeastResiduals = 200;
-  static constexpr float kLargestFactor = 2.0F;  // beyond a stop it is not drift but a mistake
-  static constexpr double kCellSpread = 0.05;
-  static constexpr double kPriorWeight =
-      1000.0;  // of the global ratio, in units of residuals' weights
-  static constexpr float kUnknownExcess = 0.04F;
-  std::vector<float> field_;
-  float excess_ = kUnknownExcess;
-};
-
 // Everything needed to look a surface point up in one other view.
 struct SourceLookup {
   const Measurement* measurement = nullptr;
@@ -226,27 +126,16 @@ struct BlockSums {
 
 enum class Sight { kUnknown, kHidden, kVisible };
 
-// Where a source would see the surface point at disparity `d` along the world ray: its image point,
-// and whether something nearer hides it there. kUnknown: the point has no place in the source.
-Sight Locate(const SourceLookup& source, const LatLongGrid& map_grid, const Eigen::Vector3f& ray,
-             float d, float occlusion_tolerance, float* x, float* y) {
-  Eigen::Vector3f v = ray;
-  Sight sight = Sight::kVisible;
-  if (!source.nearest.empty()) {
-    if (!(d >= 0.0F)) return Sight::kUnknown;
-    v -= d * source.offset;
-    const float length = v.norm();
-    if (length < 1e-4F) return Sight::kUnknown;
-    const float expected = d / length;
-    int nx = 0;
-    int ny = 0;
-    map_grid.Pixel(v, &nx, &ny);
-    const float nearest = source.nearest.at(nx, ny);
-    if (nearest > expected * (1.0F + occlusion_tolerance) + 0.003F) sight = Sight::kHidden;
-  }
-  const Eigen::Vector3f ray_there = source.camera_from_world * v;
-  source.sampler->PixelFromRay(ray_there.x(), ray_there.y(), ray_there.z(), x, y);
-  return sight;
+// Whether a source sees the surface point of the row's i-th ray, at disparity `d`, or something
+// nearer hides it there. kUnknown: the point has no place in the source.
+Sight SightOf(const SourceLookup& source, const SeenRow& seen, std::size_t i, float d,
+              float occlusion_tolerance) {
+  if (source.nearest.empty()) return Sight::kVisible;
+  if (!(d >= 0.0F) || seen.distance[i] < 1e-4F) return Sight::kUnknown;
+  const float expected = d / seen.distance[i];
+  const float nearest = source.nearest.at(seen.grid_column[i], seen.grid_row[i]);
+  const bool is_hidden = nearest > expected * (1.0F + occlusion_tolerance) + 0.003F;
+  return is_hidden ? Sight::kHidden : Sight::kVisible;
 }
 
 // The nearest surface seen from a source in each direction: the reference's map warped there, and
@@ -438,8 +327,38 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
   const float cells_per_pixel_y =
       static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
+  // What the reference says of every second pixel of every second row, once for all sources.
+  constexpr int kStep = 2;
+  const int sampled_width = (width - kStep / 2 + kStep - 1) / kStep;
+  const int sampled_height = (height - kStep / 2 + kStep - 1) / kStep;
+  Image<float> own_luminance(sampled_width, sampled_height);  // 0 where it counts for nothing
+  Image<float> own_disparity(sampled_width, sampled_height);
+  Image<float> own_confidence(sampled_width, sampled_height);
+  ParallelFor(sampled_height, 16, [&](int begin, int end) {
+    RayRow rays;
+    PointRow points;
+    for (int row = begin; row < end; ++row) {
+      RaysOfRow(output, row * kStep + kStep / 2, kStep / 2, kStep, world_from_output_matrix, &rays);
+      PointsInView(rays, own_from_world, own_sampler, &points);
+      for (std::size_t i = 0; i < rays.size(); ++i) {
+        const RadianceSample mine = own_sampler.SampleAt(points.x[i], points.y[i]);
+        const bool counts = (mine.flags & (kMasked | kSaturatedAny)) == 0;
+        own_luminance.at(static_cast<int>(i), row) = counts ? Luminance(mine.rgb.data()) : 0.0F;
+      }
+      if (disparity == nullptr) continue;
+      PointsOnGrid(rays, map_grid, &points);
+      for (std::size_t i = 0; i < rays.size(); ++i) {
+        const DisparityLookup::Value d = disparity->At(points.x[i], points.y[i], -1.0F);
+        own_disparity.at(static_cast<int>(i), row) = d.disparity;
+        own_confidence.at(static_cast<int>(i), row) = d.confidence;
+      }
+    }
+  });
+
   ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
-    constexpr int kStep = 2;  // pixels looked at, in each direction
+    RayRow rays;
+    SeenRow seen;
+    std::vector<float> known_disparity(static_cast<std::size_t>(sampled_width));
     for (int n = begin; n < end; ++n) {
       SourceLookup& source = sources[static_cast<std::size_t>(n)];
       std::vector<AgreementField::Residual> residuals;
@@ -449,26 +368,29 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       const int blocks_y = (height + kBlock - 1) / kBlock;
       std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
                                     static_cast<std::size_t>(blocks_y));
-      for (int y = kStep / 2; y < height; y += kStep) {
-        for (int x = kStep / 2; x < width; x += kStep) {
-          const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
-          const RadianceSample mine = own_sampler.Sample(own_from_world * ray);
-          if ((mine.flags & (kMasked | kSaturatedAny)) != 0) continue;
-          DisparityLookup::Value d;
-          if (disparity != nullptr) {
-            d = disparity->At(ray, -1.0F);
-          }
-          float px = 0.0F;
-          float py = 0.0F;
-          if (Locate(source, map_grid, ray, d.disparity, occlusion_tolerance, &px, &py) !=
-              Sight::kVisible) {
+      for (int row = 0; row < sampled_height; ++row) {
+        const int y = row * kStep + kStep / 2;
+        RaysOfRow(output, y, kStep / 2, kStep, world_from_output_matrix, &rays);
+        const float* disparities = own_disparity.row(row);
+        std::transform(disparities, disparities + sampled_width, known_disparity.begin(),
+                       [](float d) { return d >= 0.0F ? d : 0.0F; });
+        SurfacePointsInView(rays, known_disparity, source.offset, source.camera_from_world,
+                            *source.sampler, map_grid, &seen);
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+          const int x = static_cast<int>(i) * kStep + kStep / 2;
+          const float mine_y = own_luminance.at(static_cast<int>(i), row);
+          if (!(mine_y > 0.0F)) continue;
+          const DisparityLookup::Value d = {disparities[i],
+                                            own_confidence.at(static_cast<int>(i), row)};
+          if (SightOf(source, seen, i, d.disparity, occlusion_tolerance) != Sight::kVisible) {
             continue;
           }
+          const float px = seen.image.x[i];
+          const float py = seen.image.y[i];
           const RadianceSample theirs = source.sampler->SampleAt(px, py);
           if ((theirs.flags & (kMasked | kSaturatedAny)) != 0) continue;
-          const float mine_y = Luminance(mine.rgb.data());
           const float theirs_y = Luminance(theirs.rgb.data());
-          if (!(mine_y > 0.0F) || !(theirs_y > 0.0F)) continue;
+          if (!(theirs_y > 0.0F)) continue;
           BlockSums& block = blocks[static_cast<std::size_t>((y / kBlock) * blocks_x + x / kBlock)];
           const auto variance = [](const Measurement& m, float e) {
             return m.variance_floor[1] + m.variance_per_radiance[1] * e;
@@ -515,25 +437,40 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   });
 
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
-  ParallelFor(height, 4, [&](int begin, int end) {
+  ParallelFor(height, 8, [&](int begin, int end) {
     std::array<Sample, kMaxSources> samples;
+    RayRow rays;
+    PointRow own_points;
+    PointRow map_points;
+    std::array<SeenRow, kMaxSources> seen;
+    std::vector<float> known_disparity(static_cast<std::size_t>(width), 0.0F);
     for (int y = begin; y < end; ++y) {
+      RaysOfRow(output, y, 0, 1, world_from_output_matrix, &rays);
+      PointsInView(rays, own_from_world, own_sampler, &own_points);
+      if (disparity != nullptr) {
+        PointsOnGrid(rays, map_grid, &map_points);
+        for (std::size_t i = 0; i < rays.size(); ++i) {
+          const int x = static_cast<int>(i);
+          const DisparityLookup::Value d = disparity->At(map_points.x[i], map_points.y[i], -1.0F);
+          view.disparity.at(x, y) = d.disparity;
+          view.confidence.at(x, y) = d.confidence;
+          known_disparity[i] = d.disparity >= 0.0F ? d.disparity : 0.0F;
+        }
+      }
+      for (std::size_t n = 0; n < sources.size(); ++n) {
+        SurfacePointsInView(rays, known_disparity, sources[n].offset, sources[n].camera_from_world,
+                            *sources[n].sampler, map_grid, &seen[n]);
+      }
       for (int x = 0; x < width; ++x) {
-        const Eigen::Vector3f ray = world_from_output_matrix * output.Ray(x, y);
-        const RadianceSample own_raw = own_sampler.Sample(own_from_world * ray);
+        const auto i = static_cast<std::size_t>(x);
+        const RadianceSample own_raw = own_sampler.SampleAt(own_points.x[i], own_points.y[i]);
         samples[0] = make_sample(own, own_raw);
         if (by_hat) SetHatWeights(own, own_raw.rgb, &samples[0]);
         const Sample& mine = samples[0];
         const bool own_is_clipped =
             (mine.flags & kMasked) == 0 && (mine.flags & kSaturatedAny) != 0;
         std::size_t count = 1;
-
-        DisparityLookup::Value d;
-        if (disparity != nullptr) {
-          d = disparity->At(ray, -1.0F);
-          view.disparity.at(x, y) = d.disparity;
-          view.confidence.at(x, y) = d.confidence;
-        }
+        const DisparityLookup::Value d = {view.disparity.at(x, y), view.confidence.at(x, y)};
         // Where this view saw nothing, its disparity is a guess unless others agreed on it: better
         // no data than other views' pixels strewn about.
         const bool is_guess = (mine.flags & kMasked) != 0 && disparity != nullptr &&
@@ -545,14 +482,13 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
 
         const float cell_x = (static_cast<float>(x) + 0.5F) * cells_per_pixel_x;
         const float cell_y = (static_cast<float>(y) + 0.5F) * cells_per_pixel_y;
-        for (const SourceLookup& source : sources) {
-          if (is_guess) break;
-          float px = 0.0F;
-          float py = 0.0F;
-          const Sight sight =
-              Locate(source, map_grid, ray, d.disparity, occlusion_tolerance, &px, &py);
+        for (std::size_t n = 0; n < sources.size() && !is_guess; ++n) {
+          const SourceLookup& source = sources[n];
+          const Sight sight = SightOf(source, seen[n], i, d.disparity, occlusion_tolerance);
           // What a disparity map calls hidden is asked only where this view itself does not know.
           if (sight == Sight::kUnknown || (sight == Sight::kHidden && !own_is_clipped)) continue;
+          const float px = seen[n].image.x[i];
+          const float py = seen[n].image.y[i];
           const RadianceSample raw = source.sampler->SampleAt(px, py);
           if ((raw.flags & kMasked) != 0) continue;
           Sample s = make_sample(*source.measurement, raw);
@@ -640,19 +576,19 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
               static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
         } else {
           // Saturated wherever it was seen: each says "at least"; the largest bound says most.
-          bool seen = false;
+          bool is_bounded = false;
           std::uint8_t clipped = kSaturatedAny;
           for (std::size_t k = 0; k < count; ++k) {
             if (samples[k].hidden || (samples[k].flags & kMasked) != 0) continue;
             if (samples[k].usable && k > 0) continue;
             if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
-            seen = true;
+            is_bounded = true;
             clipped = static_cast<std::uint8_t>(clipped & samples[k].flags);
             for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
           }
           NeutraliseClipped(clipped, out);
           view.origin.at(x, y) =
-              static_cast<std::uint8_t>(seen ? PixelOrigin::kClipped : PixelOrigin::kNoData);
+              static_cast<std::uint8_t>(is_bounded ? PixelOrigin::kClipped : PixelOrigin::kNoData);
         }
       }
       if (view.exposure.scale != 1.0F) {

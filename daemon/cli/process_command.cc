@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "core/base/parallel_for.h"
+#include "core/pipeline/made_with.h"
 #include "core/pipeline/session_processor.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
@@ -110,6 +111,10 @@ Result<int> Process(const ProcessArguments& arguments) {
   if (standing.positions > 0 && standing.complete == standing.positions) {
     fmt::print("{}: all {} views are complete, nothing to do (--overwrite makes them anew)\n",
                views.string(), standing.complete);
+    OMNIHDR_ASSIGN(const std::string made_with, MadeWith(options, session));
+    if (const std::string otherwise = OtherwiseMade(views, made_with); !otherwise.empty()) {
+      fmt::print(stderr, "warning: {}\n", otherwise);
+    }
     return 0;
   }
   if (standing.complete > 0 && !arguments.resume) {

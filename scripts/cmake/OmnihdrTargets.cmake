@@ -59,8 +59,9 @@ endfunction()
 # omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
 # folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
 # a .cc file becomes a header-only target. UNITY: see omnihdr_unity.
+# COMMANDS: no loops over pixels, so that a sanitizer build need not optimise it.
 function(omnihdr_library name)
-  cmake_parse_arguments(ARG "UNITY" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
+  cmake_parse_arguments(ARG "UNITY;COMMANDS" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *.cc)
   foreach(file IN LISTS ARG_EXCLUDE)
     list(REMOVE_ITEM sources "${CMAKE_CURRENT_SOURCE_DIR}/${file}")
@@ -71,6 +72,9 @@ function(omnihdr_library name)
     if(ARG_UNITY)
       omnihdr_unity(${name})
     endif()
+    if(ARG_COMMANDS AND OMNIHDR_SANITIZE)
+      target_compile_options(${name} PRIVATE -O0)
+    endif()
   else()
     add_library(${name} INTERFACE)
     target_link_libraries(${name} INTERFACE omnihdr_flags ${ARG_DEPS})
@@ -79,10 +83,11 @@ endfunction()
 
 # omnihdr_test(unit_core_base LABELS fast DEPS core_base): one GoogleTest program from every
 # *_test.cc of the calling folder, each case a ctest test; with OMNIHDR_TEST_SHARDS each program is that
-# many tests (starting a sanitized program takes longer than most cases).
+# many tests (starting a sanitized program takes longer than most cases), with SHARDS one whose cases
+# share what takes long to make.
 set(OMNIHDR_TEST_SHARDS "0" CACHE STRING "Run a test program in this many parts; 0: every case alone")
 function(omnihdr_test name)
-  cmake_parse_arguments(ARG "" "TIMEOUT" "DEPS;LABELS" ${ARGN})
+  cmake_parse_arguments(ARG "" "TIMEOUT;SHARDS" "DEPS;LABELS" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *_test.cc)
   if(NOT sources)
     return()
@@ -96,10 +101,6 @@ function(omnihdr_test name)
   add_executable(${name} ${sources})
   target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS} GTest::gmock GTest::gtest_main)
   omnihdr_unity(${name})
-  if(CMAKE_BUILD_TYPE STREQUAL "Release")
-    # What is tested is built like the product; of the tests themselves -O3 would make a third more work.
-    target_compile_options(${name} PRIVATE -O1)
-  endif()
   if(OMNIHDR_SANITIZE MATCHES "undefined")
     # The product's own code is what is checked; in the tests' it would double the time to compile.
     target_compile_options(${name} PRIVATE -fno-sanitize=undefined -O0)
@@ -121,13 +122,16 @@ function(omnihdr_test name)
   else()
     target_compile_definitions(${name} PRIVATE OMNIHDR_BINARY_DIR="${PROJECT_BINARY_DIR}")
   endif()
-  if(OMNIHDR_TEST_SHARDS)
-    math(EXPR last "${OMNIHDR_TEST_SHARDS} - 1")
+  if(OMNIHDR_TEST_SHARDS OR NOT ARG_SHARDS)
+    set(ARG_SHARDS ${OMNIHDR_TEST_SHARDS})
+  endif()
+  if(ARG_SHARDS)
+    math(EXPR last "${ARG_SHARDS} - 1")
     math(EXPR ARG_TIMEOUT "10 * ${ARG_TIMEOUT}")  # of many cases
     foreach(shard RANGE ${last})
       add_test(NAME ${name}/${shard} COMMAND ${name} --gtest_brief=1)
       set_tests_properties(${name}/${shard} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT}
-        ENVIRONMENT "GTEST_TOTAL_SHARDS=${OMNIHDR_TEST_SHARDS};GTEST_SHARD_INDEX=${shard}")
+        ENVIRONMENT "GTEST_TOTAL_SHARDS=${ARG_SHARDS};GTEST_SHARD_INDEX=${shard}")
     endforeach()
     return()
   endif()

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """scripts/lint finds what it is there to find: every rule is shown a violation planted in a small tree."""
 
+import importlib.machinery
+import importlib.util
 import pathlib
 import subprocess
 import sys
@@ -8,6 +10,15 @@ import tempfile
 import unittest
 
 LINT = pathlib.Path(__file__).resolve().parents[2] / "scripts" / "lint"
+
+
+def lint_module():
+    sys.dont_write_bytecode = True  # beside a script without .py nobody looks for it
+    loader = importlib.machinery.SourceFileLoader("omnihdr_lint", str(LINT))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader("omnihdr_lint", loader))
+    loader.exec_module(module)
+    return module
+
 
 # A tree that keeps every rule.
 CLEAN = {
@@ -101,6 +112,19 @@ class Lint(unittest.TestCase):
     def test_marks_of_unfinished_work_and_foreign_paths_are_found(self):
         self.assert_found("words", {"core/base/x.cc": "int x;\n// TO" + "DO: more\n"}, "core/base/x.cc:2")
         self.assert_found("words", {"scripts/x": "cd /ho" + "me/somebody/omnihdr\n"}, "scripts/x:1")
+
+    def test_tidy_looks_at_changed_files_and_at_headers_through_one_file_each(self):
+        closures = {
+            "core/a.cc": {"core/a.cc", "core/a.h", "core/everywhere.h"},
+            "core/b.cc": {"core/b.cc", "core/everywhere.h"},
+            "core/c.cc": {"core/c.cc", "core/a.h", "core/b.h", "core/everywhere.h"},
+        }
+        look = lint_module().files_to_look_at
+        self.assertEqual(look(closures, {"core/b.cc", "README.md"}), {"core/b.cc"})
+        self.assertEqual(look(closures, {"core/a.h"}), {"core/a.cc"})  # its own file
+        self.assertEqual(look(closures, {"core/everywhere.h"}), {"core/b.cc"})  # the shortest to read
+        self.assertEqual(look(closures, {"core/c.cc", "core/everywhere.h"}), {"core/c.cc"})  # seen there already
+        self.assertEqual(look(closures, {"core/nowhere.h"}), set())
 
 
 if __name__ == "__main__":

@@ -48,7 +48,10 @@ class Methods : public ::testing::Test {
     const TemporaryDirectory out;
     const Processed done = ProcessAll(session_.path(), out.path(), options);
     EXPECT_EQ(done.counts.views_written, kPositions);
-    return ViewBytes(out.path());
+    std::map<std::string, std::string> bytes = ViewBytes(out.path());
+    // The records name the methods: they would differ in any case.
+    std::erase_if(bytes, [](const auto& file) { return file.first.ends_with("view.json"); });
+    return bytes;
   }
   TemporaryDirectory session_;
 };
@@ -110,7 +113,7 @@ TEST(ResumedMethods, AStateOfOtherMethodsIsNotContinued) {
   fs::remove_all(session.path() / "views" / ViewDirectoryName(PositionId{kPositions - 1}));
   const Processed other = ProcessAll(session.path(), {}, census);
   EXPECT_EQ(other.counts.views_written, 1);
-  EXPECT_TRUE(other.said.Warned("made with methods \"\", expected \"stereo.cost = census\""));
+  EXPECT_TRUE(other.said.Warned("made with other options"));
 }
 
 TEST(DescribeMethods, NamesWhatIsNotTheDefault) {
