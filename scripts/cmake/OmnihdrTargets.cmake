@@ -59,7 +59,7 @@ endfunction()
 # omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
 # folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
 # a .cc file becomes a header-only target. UNITY: see omnihdr_unity.
-# COMMANDS: no loops over pixels, so that a sanitizer build need not optimise it.
+# COMMANDS: no loops over pixels: little optimised (a third less to compile), under sanitizers not at all.
 function(omnihdr_library name)
   cmake_parse_arguments(ARG "UNITY;COMMANDS" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *.cc)
@@ -74,6 +74,8 @@ function(omnihdr_library name)
     endif()
     if(ARG_COMMANDS AND OMNIHDR_SANITIZE)
       target_compile_options(${name} PRIVATE -O0)
+    elseif(ARG_COMMANDS)
+      target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
     endif()
   else()
     add_library(${name} INTERFACE)
