@@ -26,6 +26,7 @@ namespace {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kMaxSources = 8;
 constexpr float kTrustedConfidence = 0.4F;
+constexpr float kSureConfidence = 0.7F;
 constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
 constexpr float kLeastBlockSamples = 4.0F;
@@ -165,6 +166,19 @@ struct Sample {
   bool hidden = false;  // behind something nearer, if the disparity maps are right
   float trust = 1.0F;
 };
+
+// Whether a clipped sample is as bright as a clipped pixel demands, and so may show the same.
+bool MeetsBound(const Sample& sample, const Sample& mine) {
+  constexpr float kTolerance = 0.8F;
+  if ((sample.flags & kSaturatedAny) == 0) return false;
+  for (std::size_t c = 0; c < 3; ++c) {
+    if ((mine.flags & kSaturatedBit[c]) != 0 &&
+        sample.radiance[c] < kTolerance * mine.radiance[c]) {
+      return false;
+    }
+  }
+  return true;
+}
 
 // Contrast of a sample's neighbourhood, as relative luminance change per pixel.
 float LocalContrast(const Measurement& m, float x, float y) {
@@ -576,10 +590,16 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
               static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
         } else {
           // Saturated wherever it was seen: each says "at least"; the largest bound says most.
+          // Clipped areas have no texture, so that wrong disparities "hide" their pixels here and
+          // there: a view's bound counts in spite of that unless the disparity is sure.
           bool is_bounded = false;
           std::uint8_t clipped = kSaturatedAny;
           for (std::size_t k = 0; k < count; ++k) {
-            if (samples[k].hidden || (samples[k].flags & kMasked) != 0) continue;
+            if ((samples[k].flags & kMasked) != 0) continue;
+            if (samples[k].hidden &&
+                (d.confidence >= kSureConfidence || !MeetsBound(samples[k], mine))) {
+              continue;
+            }
             if (samples[k].usable && k > 0) continue;
             if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
             is_bounded = true;

@@ -77,7 +77,8 @@ std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& o
 // how well it agrees with what the reference itself saw, as an interval: a saturated reference
 // pixel only says "at least". Saturated samples never contribute a value. Where the reference is
 // saturated and every other view counts as hidden, what they hold there is taken after all if it
-// is bright enough: one wrong disparity would otherwise leave a dark dot. Where the reference is
+// is bright enough: one wrong disparity would otherwise leave a dark dot. For the same reason the
+// bound of a view that is clipped there counts unless the disparity is sure. Where the reference is
 // masked, others fill in only where the disparity is trusted. `map` is the reference's
 // disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone, disparity
 // unknown.

@@ -59,7 +59,7 @@ endfunction()
 # omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
 # folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
 # a .cc file becomes a header-only target. UNITY: see omnihdr_unity.
-# COMMANDS: no loops over pixels: little optimised (a third less to compile), under sanitizers not at all.
+# COMMANDS: no heavy loops: little optimised (a third less to compile), under sanitizers not at all.
 function(omnihdr_library name)
   cmake_parse_arguments(ARG "UNITY;COMMANDS" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS *.cc)

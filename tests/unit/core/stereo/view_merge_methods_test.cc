@@ -61,6 +61,45 @@ TEST(MergeWithoutConsistency, WhatDisagreesIsAveragedIn) {
               (0.2F * 0.2F + 0.4F * 0.6F) / 0.6F, 1e-4F);
 }
 
+// An even scene clipped in both views, the other one's exposure shorter; a disparity map that is
+// wrong at many single pixels and so hides others from the other view. Share of pixels that read
+// the shorter exposure's bound.
+double ShareOfShorterBound(float confidence, float others_saturation) {
+  DisparityMap map;
+  map.disparity = Image<float>(kWidth, kHeight, 1, 0.05F);
+  map.confidence = Image<float>(kWidth, kHeight, 1, confidence);
+  for (int y = 1; y < kHeight; y += 3) {
+    for (int x = y % 4; x < kWidth; x += 4) map.disparity.at(x, y) = 0.8F;
+  }
+  const Image<std::uint8_t> brightness(kWidth, kHeight, 1, 254);
+  const auto clipped = [](float saturation) {
+    Measurement m = Even(saturation, saturation);
+    std::fill(m.flags.values().begin(), m.flags.values().end(), kSaturatedAny);
+    return m;
+  };
+  const Measurement own = clipped(1.0F);
+  const Measurement other = clipped(others_saturation);
+  Pose there;
+  there.translation = {0.3, 0.0, 0.0};
+  const MergedView view =
+      MergeViews({&own, Pose{}, nullptr}, &map, &brightness, {{&other, there, nullptr}},
+                 Eigen::Quaterniond::Identity(), kWidth, MergeOptions{});
+  int count = 0;
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      EXPECT_EQ(static_cast<PixelOrigin>(view.origin.at(x, y)), PixelOrigin::kClipped);
+      count += std::abs(view.radiance.at(x, y, 1) - std::max(1.0F, others_saturation)) < 1e-3F;
+    }
+  }
+  return static_cast<double>(count) / (kWidth * kHeight);
+}
+
+TEST(MergeOfClippedPixels, ABoundCountsAlsoWhereAnUnsureDisparityHidesIt) {
+  EXPECT_EQ(ShareOfShorterBound(0.5F, 4.0F), 1.0);
+  EXPECT_LT(ShareOfShorterBound(1.0F, 4.0F), 0.95);  // a sure one hides
+  EXPECT_EQ(ShareOfShorterBound(0.5F, 0.3F), 1.0);   // a longer exposure's bound says nothing
+}
+
 TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
   // Far surroundings and a near post; the other view is brighter everywhere.
   DisparityMap map;
