@@ -36,13 +36,13 @@ double FieldAlong(const Lens& lens, const Eigen::Vector2d& from, const Eigen::Ve
   return field;
 }
 
-SensorReport Examine(const RigSensor& sensor) {
+SensorOptics Examine(const RigSensor& sensor) {
   const Lens& lens = sensor.lens;
   const Eigen::Quaterniond& rotation = sensor.camera_from_sensor.rotation;
   const Eigen::Vector3d& offset = sensor.camera_from_sensor.translation;
   const Eigen::Vector3d axis = rotation * Eigen::Vector3d::UnitZ();
   const Eigen::Vector3d picture_up = rotation * -Eigen::Vector3d::UnitY();
-  SensorReport report;
+  SensorOptics report;
   report.azimuth_deg = std::atan2(axis.y(), axis.x()) / kDegree;
   report.elevation_deg = std::asin(std::clamp(axis.z(), -1.0, 1.0)) / kDegree;
   Eigen::Vector3d up = Eigen::Vector3d::UnitZ();
@@ -113,7 +113,7 @@ RigReport ExamineRig(const Rig& rig) {
   }
   report.covered /= total;
   report.covered_twice /= total;
-  for (SensorReport& sensor : report.sensors) sensor.share /= total;
+  for (SensorOptics& sensor : report.sensors) sensor.share /= total;
   for (std::size_t a = 0; a < count; ++a) {
     for (std::size_t b = a + 1; b < count; ++b) {
       const double share = pairs[a * count + b] / total;
@@ -138,7 +138,7 @@ RigReport ExamineRig(const Rig& rig) {
     }
   }
   for (std::size_t i = 0; i < count; ++i) {
-    const SensorReport& sensor = report.sensors[i];
+    const SensorOptics& sensor = report.sensors[i];
     if (sensor.offset_m > 0.005 && sensor.outward_m < -0.5 * sensor.offset_m) {
       report.warnings.push_back(fmt::format(
           "sensor \"{}\" looks inward ({:.3f} m against its axis): mirrored or inverted pose?",

@@ -11,7 +11,7 @@ namespace omnihdr {
 
 // What a person checks a rig file by. Directions of the rig frame: azimuth 0 = forward (X),
 // positive to the left (Y); elevation positive up (Z).
-struct SensorReport {
+struct SensorOptics {
   double azimuth_deg = 0.0;  // of the lens's axis
   double elevation_deg = 0.0;
   // Where the picture's own up (toward row 0) points, seen from behind the lens: 0 = up, 90 = to
@@ -33,7 +33,7 @@ struct RigOverlap {
 };
 
 struct RigReport {
-  std::vector<SensorReport> sensors;
+  std::vector<SensorOptics> sensors;
   double covered = 0.0;        // share of the sphere seen by at least one sensor
   double covered_twice = 0.0;  // by at least two
   // Elevations between which every azimuth is seen; empty where no row is.

@@ -63,7 +63,7 @@ std::string RangeText(const RadianceRange& range) {
 // Columns of what views recovered, where there are views.
 bool HasRecovered(const ExposureSummary& summary) {
   return std::any_of(summary.lines.begin(), summary.lines.end(),
-                     [](const ExposureLine& line) { return line.recovered.pixels > 0; });
+                     [](const ExposureRow& line) { return line.recovered.pixels > 0; });
 }
 
 }  // namespace
@@ -93,7 +93,7 @@ Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
   }
   if (refine_limit > 0.0) merged.notes = RefinementNotes(refined, frames, names, refine_limit);
   for (std::size_t k = 0; k < frames.size(); ++k) {
-    ExposureLine line;
+    ExposureRow line;
     line.name = names[k];
     line.exposure = frames[k].exposure;
     line.refined = refined[k];
@@ -108,7 +108,7 @@ Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
   }
   OMNIHDR_ASSIGN(merged.measurement, measure(frames));
   std::stable_sort(merged.summary.lines.begin(), merged.summary.lines.end(),
-                   [](const ExposureLine& a, const ExposureLine& b) {
+                   [](const ExposureRow& a, const ExposureRow& b) {
                      return a.exposure.EffectiveSeconds() < b.exposure.EffectiveSeconds();
                    });
   std::size_t seen = 0;
@@ -134,13 +134,13 @@ Result<MergedBracket> MergeBracket(std::vector<ExposedFrame> frames,
 
 std::string TextOf(const ExposureSummary& summary) {
   std::size_t widest = 8;
-  for (const ExposureLine& line : summary.lines) widest = std::max(widest, line.name.size());
+  for (const ExposureRow& line : summary.lines) widest = std::max(widest, line.name.size());
   std::string text = summary.title + "\n";
   const bool has_recovered = HasRecovered(summary);
   text += fmt::format("  {:<{}}  {:>12}  {:>21}  {:>21}  {:>6}  {}{}\n", "exposure", widest, "time",
                       "under-exposed (<5)", "over-exposed (>250)", "stops",
                       has_recovered ? "in view  " : "", "label");
-  for (const ExposureLine& line : summary.lines) {
+  for (const ExposureRow& line : summary.lines) {
     std::string time = fmt::format("{:.6g} ms", 1e3 * line.exposure.time.seconds());
     if (line.exposure.gain.value != 0.0) {
       time += fmt::format(" {:+.3g} dB", line.exposure.gain.value);
@@ -161,7 +161,7 @@ std::string TextOf(const ExposureSummary& summary) {
 
 std::string JsonOf(const ExposureSummary& summary) {
   nlohmann::json lines = nlohmann::json::array();
-  for (const ExposureLine& line : summary.lines) {
+  for (const ExposureRow& line : summary.lines) {
     lines.push_back({{"name", line.name},
                      {"exposure_s", line.exposure.time.seconds()},
                      {"gain_db", line.exposure.gain.value},

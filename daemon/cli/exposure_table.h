@@ -12,7 +12,7 @@
 namespace omnihdr {
 
 // One exposure of a place: a line of the thesis's tables 6.2 and 6.4.
-struct ExposureLine {
+struct ExposureRow {
   std::string name;  // of the frame or file
   Exposure exposure;
   ExposureCount count;
@@ -22,10 +22,10 @@ struct ExposureLine {
 };
 struct ExposureSummary {
   std::string title;
-  std::vector<ExposureLine> lines;  // shortest first
-  RadianceRange merged;             // 0 pixels = not known
-  double clipped_percent = 0.0;     // of the merged pixels: saturated in every exposure
-  double dark_percent = 0.0;        // below the usable range in every exposure
+  std::vector<ExposureRow> lines;  // shortest first
+  RadianceRange merged;            // 0 pixels = not known
+  double clipped_percent = 0.0;    // of the merged pixels: saturated in every exposure
+  double dark_percent = 0.0;       // below the usable range in every exposure
 };
 
 std::string TextOf(const ExposureSummary& summary);

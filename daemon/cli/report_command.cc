@@ -98,7 +98,7 @@ class Reporter {
     merged.summary.title = fmt::format("position {}: {} exposures of {}x{}", Value(position),
                                        records.size(), info_.camera.width, info_.camera.height);
     const RadianceRange view = RangeOfView(views_, position);
-    for (ExposureLine& line : merged.summary.lines) line.recovered = view;
+    for (ExposureRow& line : merged.summary.lines) line.recovered = view;
     return std::move(merged.summary);
   }
 
@@ -114,7 +114,7 @@ class Reporter {
       OMNIHDR_ASSIGN(MergedBracket one,
                      MergeBracket(frames, names, Measurer(), info_.response, info_.camera.bits,
                                   measurer_.frame_mask(), measure_, 0.0, false));
-      ExposureLine& line = one.summary.lines.front();
+      ExposureRow& line = one.summary.lines.front();
       line.range = one.summary.merged;
       line.refined.verdict = RefineVerdict::kNoOverlap;
       line.recovered = RangeOfView(views_, record.position);

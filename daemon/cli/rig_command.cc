@@ -94,7 +94,7 @@ Result<int> Check(const std::string& file) {
              "size", "bayer", "azimuth, elev.", "roll", "field (degrees)", "sphere", "offset");
   for (std::size_t i = 0; i < rig.sensors.size(); ++i) {
     const RigSensor& sensor = rig.sensors[i];
-    const SensorReport& r = report.sensors[i];
+    const SensorOptics& r = report.sensors[i];
     fmt::print(
         "{:<8} {:<8} {:>11} {:>5}  {:>7.2f} {:>7.2f} {:>7.2f} {:>7.1f} {:>7.1f} {:>7.2f} % "
         "{:>6.1f} mm\n",

@@ -190,7 +190,7 @@ TEST(RigImport, TheRealSixSensorHeadLooksForwardAroundAndUp) {
   const RigReport report = ExamineRig(*rig);
   EXPECT_TRUE(report.warnings.empty());
   for (int i = 0; i < 5; ++i) {
-    const SensorReport& sensor = report.sensors[static_cast<std::size_t>(i)];
+    const SensorOptics& sensor = report.sensors[static_cast<std::size_t>(i)];
     const double off = std::remainder(sensor.azimuth_deg + 72.0 * i, 360.0);
     EXPECT_LT(std::abs(off), 1.0) << i;  // the head's own tolerance
     EXPECT_LT(std::abs(sensor.elevation_deg), 0.5) << i;
