@@ -113,6 +113,13 @@ class Lint(unittest.TestCase):
         self.assert_found("words", {"core/base/x.cc": "int x;\n// TO" + "DO: more\n"}, "core/base/x.cc:2")
         self.assert_found("words", {"scripts/x": "cd /ho" + "me/somebody/omnihdr\n"}, "scripts/x:1")
 
+    def test_two_types_of_one_name_are_found_unless_nobody_else_sees_them(self):
+        own = "namespace omnihdr {\nstruct Line {\n  int a;\n};\n}  // namespace omnihdr\n"
+        hidden = "namespace omnihdr {\nnamespace {\nstruct Line {\n};\n}  // namespace\n}  // namespace omnihdr\n"
+        other = own.replace("omnihdr {", "omnihdr::sim {")
+        self.assert_found("types", {"core/base/a.h": own, "daemon/b.h": own}, "daemon/b.h:2", "core/base/a.h:2")
+        self.assertEqual(self.lint("types", {"core/base/a.h": own, "daemon/b.cc": hidden, "drivers/c.h": other})[0], 0)
+
     def test_tidy_looks_at_changed_files_and_at_headers_through_one_file_each(self):
         closures = {
             "core/a.cc": {"core/a.cc", "core/a.h", "core/everywhere.h"},
