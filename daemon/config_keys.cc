@@ -457,6 +457,8 @@ std::vector<ConfigKey> MakeKeys() {
              std::vector{StereoCost::kInterval, StereoCost::kRadiometric, StereoCost::kCensus,
                          StereoCost::kMutualInformation},
              OMNIHDR_MEMBER(pipeline.options.cost)));
+  add(Choice("stereo.search", std::vector{StereoSearch::kRanges, StereoSearch::kFull},
+             OMNIHDR_MEMBER(pipeline.options.search)));
   add(Choice("stereo.fusion",
              std::vector{StereoFusion::kVotes, StereoFusion::kCrossCheck, StereoFusion::kStability},
              OMNIHDR_MEMBER(pipeline.options.fusion)));

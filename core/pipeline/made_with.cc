@@ -51,14 +51,14 @@ void AddOptions(const PipelineOptions& options, Digest& digest) {
   const auto& [mode, output_width, orientation, preview_quality, preview, exr_type, chromaticities,
                nan, mask_file, value_low, value_high, noise, white_luminance, weights,
                white_balance, refine_exposure, refine_limit, demosaic, stereo_width, labels,
-               max_parallax_deg, neighbours, cost, fusion, filter, fill, sky, min_baseline_ratio,
-               consistency_sigma, merge_neighbours, merge_weights, consistency, occlusion] =
-      options;
+               max_parallax_deg, neighbours, cost, search, fusion, filter, fill, sky,
+               min_baseline_ratio, consistency_sigma, merge_neighbours, merge_weights, consistency,
+               occlusion] = options;
   digest.AddAll(mode, output_width, orientation, preview_quality, exr_type, chromaticities, nan,
                 value_low, value_high, white_luminance, weights, white_balance, refine_exposure,
                 refine_limit, demosaic, stereo_width, labels, max_parallax_deg, neighbours, cost,
-                fusion, filter, fill, sky, min_baseline_ratio, consistency_sigma, merge_neighbours,
-                merge_weights, consistency, occlusion);
+                search, fusion, filter, fill, sky, min_baseline_ratio, consistency_sigma,
+                merge_neighbours, merge_weights, consistency, occlusion);
   const auto& [read, gain, prnu] = noise;
   digest.AddAll(read, gain, prnu);
   const auto& [tone_operator, shape, key, exposure_stops, white_percentile, sharpening, threshold,

@@ -59,6 +59,7 @@ PipelineOptions PipelineOptions::Thesis() {
   options.refine_exposure = false;
   options.neighbours = 1;
   options.cost = StereoCost::kRadiometric;
+  options.search = StereoSearch::kFull;
   options.fusion = StereoFusion::kStability;
   options.filter = StereoFilter::kWavelet;
   options.fill = StereoFill::kSuperpixels;
@@ -77,6 +78,7 @@ std::string DescribeMethods(const PipelineOptions& options) {
     text += fmt::format("{}{} = {}", text.empty() ? "" : ", ", name, value);
   };
   if (options.cost != ours.cost) tell("stereo.cost", ToString(options.cost));
+  if (options.search != ours.search) tell("stereo.search", ToString(options.search));
   if (options.fusion != ours.fusion) tell("stereo.fusion", ToString(options.fusion));
   if (options.filter != ours.filter) tell("stereo.filter", ToString(options.filter));
   if (options.fill != ours.fill) tell("stereo.fill", ToString(options.fill));

@@ -64,6 +64,7 @@ struct PipelineOptions {
   double max_parallax_deg = 45.0;  // largest parallax between neighbouring positions searched for
   int neighbours = 2;              // positions on each side that take part (1 or 2)
   StereoCost cost = StereoCost::kInterval;
+  StereoSearch search = StereoSearch::kRanges;
   StereoFusion fusion = StereoFusion::kVotes;
   StereoFilter filter = StereoFilter::kNone;  // of the fused map, before it is filled
   StereoFill fill = StereoFill::kRims;

@@ -20,6 +20,7 @@ namespace {
 constexpr std::size_t kLookahead = 2;
 // A prepared stereo view is made anew when its pose has been corrected by more than this.
 constexpr double kStaleRotation = 5e-4;
+constexpr int kLeastCoarseLabels = 16;
 constexpr double kLeastSkyShare = 0.5;  // of a superpixel that is taken for sky
 
 class Stopwatch {
@@ -60,7 +61,7 @@ void ViewPipeline::ExtendScale(const Measurement& m) {
   const LogScale scale = LogScale::For(lowest_floor_, brightest_);
   if (scale == scale_) return;
   scale_ = scale;
-  for (Slot& slot : slots_) slot.stereo_view = StereoView{};
+  for (Slot& slot : slots_) slot.stereo_view = slot.coarse_view = StereoView{};
 }
 
 void ViewPipeline::UpdatePoses() {
@@ -79,8 +80,16 @@ const StereoView& ViewPipeline::StereoViewOf(std::size_t index) {
     slot.stereo_view =
         MakeStereoView(slot.input.measurement, rotation, 2 * options_.stereo_width, scale_);
     slot.stereo_view_rotation = rotation;
+    slot.coarse_view = StereoView{};
   }
   return slot.stereo_view;
+}
+
+const StereoView& ViewPipeline::CoarseViewOf(std::size_t index) {
+  const StereoView& view = StereoViewOf(index);
+  Slot& slot = slots_[index];
+  if (slot.coarse_view.width == 0) slot.coarse_view = HalveStereoView(view);
+  return slot.coarse_view;
 }
 
 std::vector<std::size_t> ViewPipeline::Neighbours(std::size_t index, int reach) const {
@@ -112,6 +121,34 @@ double ViewPipeline::SearchLimit(std::size_t index,
   return nearest > 0.0 ? std::min(limit, 1.6 * nearest) : limit;
 }
 
+std::vector<SweepNeighbour> ViewPipeline::SweepNeighbours(
+    std::size_t index, const std::vector<std::size_t>& neighbours, bool coarse) {
+  std::vector<SweepNeighbour> swept;
+  for (const std::size_t n : neighbours) {
+    swept.push_back(
+        {coarse ? &CoarseViewOf(n) : &StereoViewOf(n),
+         OffsetInWorld(slots_[index].pose.world_from_camera, slots_[n].pose.world_from_camera)
+             .cast<float>()});
+  }
+  return swept;
+}
+
+std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
+                                                   const std::vector<std::size_t>& neighbours,
+                                                   const SweepOptions& sweep) {
+  std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
+  if (guide == nullptr) {
+    SweepOptions coarse = sweep;
+    coarse.labels = std::max(kLeastCoarseLabels, sweep.labels / 2);
+    const StereoView& reference = CoarseViewOf(index);
+    const CostVolume volume =
+        MatchingCosts(options_.cost, reference, SweepNeighbours(index, neighbours, true), coarse);
+    guide = std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
+  }
+  return RangesAround(*guide, options_.stereo_width, options_.stereo_width / 2, sweep.labels,
+                      sweep.max_disparity, RangeOptions{});
+}
+
 std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
   const Pose& pose = slots_[index].pose.world_from_camera;
   std::vector<std::size_t> indices = Neighbours(index, options_.neighbours);
@@ -124,29 +161,23 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
     return baseline == 0.0 || baseline < 0.05 * largest;
   });
   if (indices.empty()) return nullptr;
-  std::vector<SweepNeighbour> neighbours;
-  for (const std::size_t n : indices) {
-    neighbours.push_back(
-        {&StereoViewOf(n), OffsetInWorld(pose, slots_[n].pose.world_from_camera).cast<float>()});
-  }
   SweepOptions sweep;
   sweep.labels = options_.labels;
   sweep.max_disparity = SearchLimit(index, indices);
+  if (options_.search == StereoSearch::kRanges) {
+    sweep.ranges = SearchRanges(index, indices, sweep);
+  }
   const StereoView& reference = StereoViewOf(index);
-  const CostVolume volume = MatchingCosts(options_.cost, reference, neighbours, sweep);
+  const CostVolume volume =
+      MatchingCosts(options_.cost, reference, SweepNeighbours(index, indices, false), sweep);
   return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
 }
 
 DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t>& brightness) {
   const Slot& slot = slots_[index];
   std::vector<NeighbourMap> maps;
-  std::shared_ptr<DisparityMap> ahead;
   for (const std::size_t n : Neighbours(index, options_.neighbours)) {
-    const DisparityMap* map = slots_[n].raw.get();
-    if (n == index + 1) {
-      ahead = MatchSlot(n);  // provisional: its own later neighbours are not there yet
-      map = ahead.get();
-    }
+    const DisparityMap* map = (n == index + 1 ? slots_[n].ahead : slots_[n].raw).get();
     if (map == nullptr) continue;
     maps.push_back(
         {map, OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera)
@@ -193,10 +224,18 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
 
   const Stopwatch stereo_time;
   slot.raw = MatchSlot(index);
+  slot.ahead.reset();
   if (slot.raw != nullptr) {
     // Stereo views are made when first needed, with the pose of that moment: needed must not depend
     // on whether this view is wanted, or a resumed run would differ.
     for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) StereoViewOf(n);
+    // Provisional: its own later neighbours are not there yet. It guides the search of the next
+    // view, so that it must not depend on whether this one is wanted either.
+    const std::vector<std::size_t> next = Neighbours(index, 1);
+    if ((view.made || options_.search == StereoSearch::kRanges) &&
+        std::find(next.begin(), next.end(), index + 1) != next.end()) {
+      slots_[index + 1].ahead = MatchSlot(index + 1);
+    }
   }
   Image<std::uint8_t> brightness;
   if (slot.raw != nullptr && view.made) {

@@ -15,6 +15,7 @@
 #include "core/session/session.h"
 #include "core/stereo/sgm.h"
 #include "core/stereo/stereo_view.h"
+#include "core/stereo/sweep.h"
 #include "core/stereo/view_merge.h"
 
 namespace omnihdr {
@@ -76,7 +77,9 @@ class ViewPipeline {
     PositionInput input;
     PoseEstimate pose;
     StereoView stereo_view;                   // empty until needed
+    StereoView coarse_view;                   // the same at half the size; empty until needed
     Eigen::Quaterniond stereo_view_rotation;  // world_from_camera it was made with
+    std::shared_ptr<DisparityMap> ahead;      // matched before its last neighbour was there
     std::shared_ptr<DisparityMap> raw;        // matched with every neighbour it will ever have
     std::shared_ptr<DisparityMap> fused;
   };
@@ -84,11 +87,20 @@ class ViewPipeline {
   void UpdatePoses();
   void ExtendScale(const Measurement& measurement);
   const StereoView& StereoViewOf(std::size_t index);
+  const StereoView& CoarseViewOf(std::size_t index);
   FinishedView FinishSlot(std::size_t index, const WantView& want);
   // Slots within `reach` of `index`, on its chain, at another place; nearest first.
   std::vector<std::size_t> Neighbours(std::size_t index, int reach) const;
   // Null when the slot has no neighbour with a baseline.
   std::shared_ptr<DisparityMap> MatchSlot(std::size_t index);
+  // The labels in question at the slot: around what it was matched to before, or else around what
+  // a match at half the size with the neighbours given finds.
+  std::vector<LabelRange> SearchRanges(std::size_t index,
+                                       const std::vector<std::size_t>& neighbours,
+                                       const SweepOptions& sweep);
+  std::vector<SweepNeighbour> SweepNeighbours(std::size_t index,
+                                              const std::vector<std::size_t>& neighbours,
+                                              bool coarse);
   // The slot's map with its neighbours' help, by the methods chosen: fused, filtered, filled.
   DisparityMap RefineMap(std::size_t index, const Image<std::uint8_t>& brightness);
   double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;

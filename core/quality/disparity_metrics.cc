@@ -3,7 +3,6 @@
 #include <cassert>
 #include <cmath>
 #include <cstddef>
-#include <numbers>
 #include <vector>
 
 namespace omnihdr {
@@ -11,7 +10,6 @@ namespace omnihdr {
 DisparityErrors CompareDisparity(ImageView<const float> tested, ImageView<const float> truth,
                                  double baseline, const ComparisonArea& area) {
   assert(tested.width() == truth.width() && tested.height() == truth.height());
-  const double one_pixel = 2.0 * std::numbers::pi / 1536.0;
   double total = 0.0;
   double known = 0.0;
   double wrong = 0.0;
@@ -28,7 +26,7 @@ DisparityErrors CompareDisparity(ImageView<const float> tested, ImageView<const 
       if (!std::isfinite(have)) continue;
       known += weight;
       const double error = std::abs(have - want);
-      if (error * baseline > one_pixel) wrong += weight;
+      if (error * baseline > kOnePixelOfParallax) wrong += weight;
       if (want > 0.0) {
         relative.push_back({static_cast<float>(error / want), static_cast<float>(weight)});
       }

@@ -85,7 +85,15 @@ DisparityMap FuseDisparity(const DisparityMap& reference,
         const Eigen::Vector3f ray = grid.Ray(x, y);
         float best_score = -1e9F;
         float best_mean = kNan;
-        for (const float candidate : values) {
+        for (std::size_t i = 0; i < values.size(); ++i) {
+          const float candidate = values[i];
+          // One next to a candidate already judged would be judged alike.
+          const auto judged = values.begin() + static_cast<std::ptrdiff_t>(i);
+          const float alike = 0.25F * std::max(tolerance, relative * candidate);
+          if (std::any_of(values.begin(), judged,
+                          [&](float v) { return std::abs(v - candidate) < alike; })) {
+            continue;
+          }
           const float near = std::max(tolerance, relative * candidate);
           float support = 0.0F;
           float sum = 0.0F;
@@ -128,6 +136,7 @@ void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options
       {{1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, 1}, {-1, -1}, {1, -1}, {-1, 1}}};
   const int width = map->disparity.width();
   const int height = map->disparity.height();
+  const int reach = std::min(options.reach, width);  // farther, a row comes back to its start
   const Image<float> known = map->disparity.Clone();
   ParallelFor(height, 4, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
@@ -137,10 +146,12 @@ void FillHoles(const Image<std::uint8_t>& brightness, const FillOptions& options
         std::array<float, 8> weight{};
         int count = 0;
         for (const auto& [dx, dy] : kDirections) {
-          for (int k = 1; k <= options.reach; ++k) {
+          for (int k = 1; k <= reach; ++k) {
             const int sy = y + k * dy;
             if (sy < 0 || sy >= height) break;
-            const int sx = ((x + k * dx) % width + width) % width;
+            int sx = x + k * dx;
+            if (sx < 0) sx += width;
+            if (sx >= width) sx -= width;
             const float d = known.at(sx, sy);
             if (!(d >= 0.0F)) continue;
             const float unlike = std::abs(static_cast<float>(brightness.at(x, y)) -

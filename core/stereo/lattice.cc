@@ -26,25 +26,35 @@ void FillRays(const std::vector<std::array<float, 2>>& columns, int x0, int y, i
   rays->z = static_cast<float>(std::cos(phi));
   const int last = static_cast<int>(columns.size()) - 1;
   for (int i = 0; i < kSweepBlock; ++i) {
-    const auto& [c, s] = columns[static_cast<std::size_t>(std::min(x0 + i, last))];
+    const int x = std::min(x0 + i % kTileColumns, last);
+    const auto& [c, s] = columns[static_cast<std::size_t>(x)];
     rays->x[static_cast<std::size_t>(i)] = sin_phi * c;
     rays->y[static_cast<std::size_t>(i)] = sin_phi * s;
   }
 }
 
+void FillDisparities(int first_label, double step, DisparityBlock* d) {
+  for (int label = 0; label < kTileLabels; ++label) {
+    std::fill_n(d->begin() + static_cast<std::ptrdiff_t>(label) * kTileColumns, kTileColumns,
+                static_cast<float>((first_label + label) * step));
+  }
+}
+
 OMNIHDR_SIMD_CLONES
-void LatticeIndices(const RayBlock& u, const float* offset, float d, int lattice_width,
-                    int lattice_height, std::int32_t* index) {
+void LatticeIndices(const RayBlock& u, const float* offset, const DisparityBlock& d,
+                    int lattice_width, int lattice_height, std::int32_t* index) {
   constexpr float kPi = 3.14159265358979324F;
-  const float bx = d * offset[0];
-  const float by = d * offset[1];
-  const float vz = u.z - d * offset[2];
+  const float bx = offset[0];
+  const float by = offset[1];
+  const float bz = offset[2];
   const float x_scale = static_cast<float>(lattice_width) / (2.0F * kPi);
   const float y_scale = static_cast<float>(lattice_height) / kPi;
   const std::int32_t stride = lattice_width + 1;
   for (int i = 0; i < kSweepBlock; ++i) {
-    const float vx = u.x[static_cast<std::size_t>(i)] - bx;
-    const float vy = u.y[static_cast<std::size_t>(i)] - by;
+    const auto k = static_cast<std::size_t>(i);
+    const float vx = u.x[k] - d[k] * bx;
+    const float vy = u.y[k] - d[k] * by;
+    const float vz = u.z - d[k] * bz;
     const float rho = std::sqrt(vx * vx + vy * vy);
     const float column = (kPi - FastAtan2(vy, vx)) * x_scale;
     const float row = FastAtan2(rho, vz) * y_scale;
@@ -66,11 +76,12 @@ void NormaliseSums(const std::uint16_t* sum, std::uint16_t multiplier, std::uint
   }
 }
 
-void StoreLabelFastest(const std::uint8_t* by_label, int columns, int labels, std::uint8_t* out) {
+void StoreLabelFastest(const std::uint8_t* block, int columns, int labels, std::ptrdiff_t stride,
+                       std::uint8_t* out) {
   for (int i = 0; i < columns; ++i) {
     for (int label = 0; label < labels; ++label) {
-      *out++ =
-          by_label[static_cast<std::size_t>(label) * kSweepBlock + static_cast<std::size_t>(i)];
+      out[i * stride + label] =
+          block[static_cast<std::size_t>(label) * kTileColumns + static_cast<std::size_t>(i)];
     }
   }
 }

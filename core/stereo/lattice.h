@@ -7,36 +7,44 @@
 
 namespace omnihdr {
 
-// What every sweep over inverse distances shares: blocks of rays of one row of a lat-long map, and
-// where another view's lattice (see StereoView) holds the texel that a hypothesis sees.
+// What every sweep over inverse distances shares: blocks of hypotheses of a tile of a lat-long map,
+// and where another view's lattice (see StereoView) holds the texel that a hypothesis sees.
 
-constexpr int kSweepBlock =
-    256;  // columns worked on at a time: everything stays in the first-level cache
+constexpr int kTileColumns = 32;  // pixels of a row that are searched over the same labels
+constexpr int kTileLabels = 8;    // labels of a tile worked on at a time
+// Hypotheses worked on at a time, columns fastest: everything stays in the first-level cache.
+constexpr int kSweepBlock = kTileColumns * kTileLabels;
 
 struct RayBlock {
   alignas(64) std::array<float, kSweepBlock> x;
   alignas(64) std::array<float, kSweepBlock> y;
   float z = 0.0F;  // one row of a lat-long map has one elevation
 };
+using DisparityBlock = std::array<float, kSweepBlock>;
 
 // Cosine and sine of the azimuth of every column's centre.
 std::vector<std::array<float, 2>> ColumnDirections(int width);
 
-// Rays of the columns from `x0` on of row `y` of a map of `height` rows; past the last column, the
-// last one again.
+// Rays of the tile's columns from `x0` on of row `y` of a map of `height` rows, once for each
+// label; past the last column, the last one again.
 void FillRays(const std::vector<std::array<float, 2>>& columns, int x0, int y, int height,
               RayBlock* rays);
 
-// Lattice index of where a neighbour at `offset` sees the hypothesis: texel of (u − d·b).
-void LatticeIndices(const RayBlock& u, const float* offset, float d, int lattice_width,
-                    int lattice_height, std::int32_t* index);
+// Normalised disparities of the labels from `first_label` on.
+void FillDisparities(int first_label, double step, DisparityBlock* d);
+
+// Lattice index of where a neighbour at `offset` sees the hypotheses: texel of (u − d·b).
+void LatticeIndices(const RayBlock& u, const float* offset, const DisparityBlock& d,
+                    int lattice_width, int lattice_height, std::int32_t* index);
 
 void GatherTexels(const std::uint64_t* texels, const std::int32_t* index, std::uint64_t* out);
 
 // sum·multiplier / 65536, rounded, of a block.
 void NormaliseSums(const std::uint16_t* sum, std::uint16_t multiplier, std::uint8_t* out);
 
-// Costs of `columns` pixels, one block of kSweepBlock values a label, to label-fastest order.
-void StoreLabelFastest(const std::uint8_t* by_label, int columns, int labels, std::uint8_t* out);
+// Costs of a block's first `columns` pixels and `labels` labels to label-fastest order, the labels
+// of one pixel `stride` values after those of the one before.
+void StoreLabelFastest(const std::uint8_t* block, int columns, int labels, std::ptrdiff_t stride,
+                       std::uint8_t* out);
 
 }  // namespace omnihdr

@@ -16,6 +16,10 @@ std::string_view ToString(StereoCost cost) {
   return "?";
 }
 
+std::string_view ToString(StereoSearch search) {
+  return search == StereoSearch::kFull ? "full" : "ranges";
+}
+
 std::string_view ToString(StereoFusion fusion) {
   switch (fusion) {
     case StereoFusion::kVotes:

@@ -15,6 +15,10 @@ enum class StereoCost : std::uint8_t {
   kCensus,             // census transform (pairwise_costs.h)
   kMutualInformation,  // pixelwise mutual information (mutual_information.h)
 };
+enum class StereoSearch : std::uint8_t {
+  kRanges,  // what a map of half the size leaves in question (cost_volume.h)
+  kFull,    // every label at every pixel
+};
 enum class StereoFusion : std::uint8_t {
   kVotes,       // supporters less half the violations (fuse.h)
   kCrossCheck,  // only what a neighbour's map confirms (stability.h)
@@ -30,6 +34,7 @@ enum class StereoFill : std::uint8_t {
                  // (superpixel_fill.h)
 };
 std::string_view ToString(StereoCost cost);      // "interval", "radiometric", "census", ...
+std::string_view ToString(StereoSearch search);  // "ranges", "full"
 std::string_view ToString(StereoFusion fusion);  // "votes", "cross-check", "stability"
 std::string_view ToString(StereoFilter filter);  // "none", "wavelet"
 std::string_view ToString(StereoFill fill);      // "rims", "superpixels"

@@ -209,6 +209,7 @@ CostVolume MutualInformationCosts(const StereoView& reference,
   SweepOptions coarse = options;
   coarse.labels =
       std::max(std::min(kLeastLabels, options.labels), options.labels / information.coarse);
+  coarse.ranges.clear();
   const Image<std::uint8_t> brightness = BrightnessOf(mine_coarse);
 
   Image<float> map(mine_coarse.width / 2, mine_coarse.height / 2);  // all at infinity

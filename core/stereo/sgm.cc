@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <limits>
 #include <utility>
 
 #include "core/base/parallel_for.h"
@@ -39,6 +38,15 @@ std::uint16_t PathStep(const std::uint8_t* cost, const std::uint16_t* previous,
   return least;
 }
 
+OMNIHDR_SIMD_CLONES
+std::uint16_t LeastOf(const std::uint16_t* values, int count) {
+  std::uint16_t least = 0xFFFF;
+  for (int k = 0; k < count; ++k) least = least < values[k] ? least : values[k];
+  return least;
+}
+
+// A path's costs at its last pixel, by label. Labels that were not in question there cost a guard
+// value, more than any that was.
 class Path {
  public:
   explicit Path(int labels)
@@ -47,17 +55,30 @@ class Path {
         b_(static_cast<std::size_t>(labels + 2 * kPad), kGuard) {}
   void Start() {
     std::fill_n(a_.data() + kPad, labels_, std::uint16_t{0});
+    known_ = {0, labels_};
     least_ = 0;
   }
-  void Step(const std::uint8_t* cost, int small_penalty, int large_penalty, std::uint16_t* sum) {
-    least_ = PathStep(cost, a_.data() + kPad, least_, static_cast<std::uint16_t>(small_penalty),
-                      static_cast<std::uint16_t>(large_penalty), labels_, b_.data() + kPad, sum);
+  void Step(const std::uint8_t* cost, const LabelRange& range, int small_penalty, int large_penalty,
+            std::uint16_t* sum) {
+    // The step reads one label beyond the range on either side.
+    std::uint16_t* previous = a_.data() + kPad;
+    const int known_end = known_.first + known_.count;
+    const int begin = range.first - 1;
+    const int end = range.first + range.count + 1;
+    for (int k = begin; k < std::min(end, known_.first); ++k) previous[k] = kGuard;
+    for (int k = std::max(begin, known_end); k < end; ++k) previous[k] = kGuard;
+    least_ =
+        PathStep(cost, previous + range.first, least_, static_cast<std::uint16_t>(small_penalty),
+                 static_cast<std::uint16_t>(large_penalty), range.count,
+                 b_.data() + kPad + range.first, sum);
+    known_ = range;
     std::swap(a_, b_);
   }
 
  private:
   static constexpr std::uint16_t kGuard = 0x7000;
   int labels_;
+  LabelRange known_;
   std::uint16_t least_ = 0;
   std::vector<std::uint16_t> a_;
   std::vector<std::uint16_t> b_;
@@ -70,13 +91,7 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
   const int width = volume.width;
   const int height = volume.height;
   const int labels = volume.labels;
-  const auto pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
-  std::vector<std::uint16_t> sums(pixels * static_cast<std::size_t>(labels), 0);
-  const auto sum_at = [&](int x, int y) {
-    return sums.data() + (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-                          static_cast<std::size_t>(x)) *
-                             static_cast<std::size_t>(labels);
-  };
+  std::vector<std::uint16_t> sums(volume.cost.size(), 0);
   const auto large_penalty = [&](int x0, int y0, int x1, int y1) {
     const int edge = std::abs(brightness.at(x0, y0) - brightness.at(x1, y1));
     return std::max(options.least_large_penalty, options.large_penalty - 4 * edge);
@@ -94,9 +109,9 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
           const int step = direction > 0 ? k : width - 1 - k;
           const int x = (step + width) % width;
           const int from = (x - direction + width) % width;
-          std::fill(discard.begin(), discard.end(), std::uint16_t{0});
-          path.Step(volume.at(x, y), options.small_penalty, large_penalty(from, y, x, y),
-                    k < 0 ? discard.data() : sum_at(x, y));
+          const std::size_t offset = volume.offset(x, y);
+          path.Step(volume.cost.data() + offset, volume.range(x, y), options.small_penalty,
+                    large_penalty(from, y, x, y), k < 0 ? discard.data() : sums.data() + offset);
         }
       }
     }
@@ -110,8 +125,10 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
         const int y = direction > 0 ? k : height - 1 - k;
         const int from = k == 0 ? y : y - direction;
         for (int x = begin; x < end; ++x) {
+          const std::size_t offset = volume.offset(x, y);
           paths[static_cast<std::size_t>(x - begin)].Step(
-              volume.at(x, y), options.small_penalty, large_penalty(x, from, x, y), sum_at(x, y));
+              volume.cost.data() + offset, volume.range(x, y), options.small_penalty,
+              large_penalty(x, from, x, y), sums.data() + offset);
         }
       }
     }
@@ -123,20 +140,22 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
   ParallelFor(height, 8, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       for (int x = 0; x < width; ++x) {
-        const std::uint16_t* s = sum_at(x, y);
-        const int best = static_cast<int>(std::min_element(s, s + labels) - s);
-        int rival = std::numeric_limits<int>::max();
-        for (int k = 0; k < labels; ++k) {
-          if (std::abs(k - best) > 2) rival = std::min(rival, static_cast<int>(s[k]));
-        }
+        const std::uint16_t* s = sums.data() + volume.offset(x, y);
+        const LabelRange& range = volume.range(x, y);
+        const int count = range.count;
+        const auto best = static_cast<int>(std::find(s, s + count, LeastOf(s, count)) - s);
+        // The best that is no neighbour of the best.
+        const int below = std::max(0, best - 2);
+        const int above = std::min(count, best + 3);
+        const int rival = std::min(LeastOf(s, below), LeastOf(s + above, count - above));
         double offset = 0.0;
-        if (best > 0 && best + 1 < labels) {
+        if (best > 0 && best + 1 < count) {
           const int left = s[best - 1] - s[best];
           const int right = s[best + 1] - s[best];
           if (left + right > 0) offset = 0.5 * (left - right) / (left + right);
         }
-        map.disparity.at(x, y) = static_cast<float>((best + offset) * volume.step);
-        const double margin = rival == std::numeric_limits<int>::max() ? 0.0 : rival - s[best];
+        map.disparity.at(x, y) = static_cast<float>((range.first + best + offset) * volume.step);
+        const double margin = below == 0 && above == count ? 0.0 : rival - s[best];
         map.confidence.at(x, y) = static_cast<float>(margin / (margin + 40.0));
       }
     }

@@ -65,6 +65,28 @@ std::uint64_t Gradient(std::uint8_t flags, float change, int position) {
   return Byte(v, position) | Byte(v, position + 1);
 }
 
+// Mean of the eight bytes of two texels, each rounded down.
+OMNIHDR_ALWAYS_INLINE std::uint64_t MeanOfBytes(std::uint64_t a, std::uint64_t b) {
+  return (a & b) + (((a ^ b) & 0xFEFEFEFEFEFEFEFEULL) >> 1U);
+}
+
+// Texels around every second one, weighed 1 2 1 each way. `middle`: `width` texels and the first
+// again.
+OMNIHDR_SIMD_CLONES
+void HalveRow(const std::uint64_t* __restrict above, const std::uint64_t* __restrict middle,
+              const std::uint64_t* __restrict below, int width, std::uint64_t* __restrict column,
+              std::uint64_t* __restrict out) {
+  for (int j = 0; j <= width; ++j) {
+    column[j] = MeanOfBytes(MeanOfBytes(above[j], below[j]), middle[j]);
+  }
+  const int half = width / 2;
+  out[0] = MeanOfBytes(MeanOfBytes(column[width - 1], column[1]), column[0]);
+  for (int j = 1; j < half; ++j) {
+    out[j] = MeanOfBytes(MeanOfBytes(column[2 * j - 1], column[2 * j + 1]), column[2 * j]);
+  }
+  out[half] = out[0];
+}
+
 }  // namespace
 
 LogScale LogScale::For(float lowest_noise_floor, float highest_saturation) {
@@ -75,6 +97,23 @@ LogScale LogScale::For(float lowest_noise_floor, float highest_saturation) {
   scale.codes_per_ln =
       std::min(60.0F, 253.0F / (std::log(brightest + scale.floor) - scale.ln_black));
   return scale;
+}
+
+StereoView HalveStereoView(const StereoView& view) {
+  StereoView halved;
+  halved.width = view.width / 2;
+  halved.height = view.height / 2;
+  halved.texels.resize(static_cast<std::size_t>(halved.height + 1) *
+                       static_cast<std::size_t>(halved.width + 1));
+  ParallelFor(halved.height + 1, 16, [&](int begin, int end) {
+    std::vector<std::uint64_t> column(static_cast<std::size_t>(view.width) + 1);
+    for (int i = begin; i < end; ++i) {
+      HalveRow(view.row(std::max(0, 2 * i - 1)), view.row(2 * i),
+               view.row(std::min(view.height, 2 * i + 1)), view.width, column.data(),
+               halved.texels.data() + static_cast<std::ptrdiff_t>(i) * (halved.width + 1));
+    }
+  });
+  return halved;
 }
 
 Measurement HalveMeasurement(const Measurement& m) {

@@ -47,6 +47,10 @@ StereoView MakeStereoView(const Measurement& measurement,
                           const Eigen::Quaterniond& world_from_camera, int width,
                           const LogScale& scale);
 
+// The view on a lattice of half the size: of each interval the mean over the texels around, ends
+// for themselves, which is what the mean radiance (geometric) lies between.
+StereoView HalveStereoView(const StereoView& view);
+
 // The measurement reduced to half size (2×2 means of what is usable; flags where any was set).
 Measurement HalveMeasurement(const Measurement& measurement);
 

@@ -4,9 +4,9 @@
 #include <array>
 #include <memory>
 
-#include "core/base/parallel_for.h"
 #include "core/base/simd.h"
 #include "core/stereo/lattice.h"
+#include "core/stereo/tile_sweep.h"
 
 namespace omnihdr {
 namespace {
@@ -74,78 +74,62 @@ void AddPair(const Lanes& a, const Lanes& b, const PairLimits& limits, std::uint
   }
 }
 
+// A tile's sums over all pairs of views.
+class PairTile {
+ public:
+  PairTile(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
+           std::size_t views, const PairLimits& limits)
+      : reference_(reference), neighbours_(neighbours), views_(views), limits_(limits) {}
+
+  void Start(int x0, int y) {
+    const std::uint64_t* row = reference_.row(2 * y + 1);
+    const int last = reference_.width / 2 - 1;
+    for (int i = 0; i < kBlock; ++i) {
+      texels_[static_cast<std::size_t>(i)] = row[2 * std::min(x0 + i % kTileColumns, last) + 1];
+    }
+    Split(texels_.data(), &lanes_[0]);
+  }
+
+  void Add(const RayBlock& rays, const DisparityBlock& disparities, std::uint16_t* sum) {
+    for (std::size_t n = 1; n < views_; ++n) {
+      const SweepNeighbour& neighbour = neighbours_[n - 1];
+      LatticeIndices(rays, neighbour.offset.data(), disparities, neighbour.view->width,
+                     neighbour.view->height, index_.data());
+      GatherTexels(neighbour.view->texels.data(), index_.data(), texels_.data());
+      Split(texels_.data(), &lanes_[n]);
+      // Pairs with the reference count twice: it is the view whose map this is.
+      for (std::size_t m = 0; m < n; ++m) {
+        AddPair(lanes_[m], lanes_[n], limits_, m == 0 ? 2 : 1, sum);
+      }
+    }
+  }
+
+ private:
+  const StereoView& reference_;
+  const std::vector<SweepNeighbour>& neighbours_;
+  std::size_t views_;
+  PairLimits limits_;
+  std::array<Lanes, kMaxViews> lanes_;
+  alignas(64) std::array<std::int32_t, kBlock> index_;
+  alignas(64) std::array<std::uint64_t, kBlock> texels_;
+};
+
 }  // namespace
 
 CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
                       const SweepOptions& options) {
-  CostVolume volume;
-  volume.width = reference.width / 2;
-  volume.height = reference.height / 2;
-  volume.labels = options.labels;
-  volume.step = options.max_disparity / std::max(1, options.labels - 1);
-  volume.cost.resize(static_cast<std::size_t>(volume.width) *
-                     static_cast<std::size_t>(volume.height) *
-                     static_cast<std::size_t>(volume.labels));
+  CostVolume volume = CostVolume::Allocate(reference.width / 2, reference.height / 2,
+                                           options.labels, options.max_disparity, options.ranges);
   const std::size_t views = 1 + std::min<std::size_t>(neighbours.size(), kMaxViews - 1);
   const PairLimits limits = {static_cast<std::uint8_t>(options.value_truncation),
                              static_cast<std::uint8_t>(options.gradient_truncation),
                              static_cast<std::uint8_t>(options.unknown_cost),
                              options.gradient_shift};
-  // Pairs with the reference count twice: it is the view whose map this is.
   const auto reference_pairs = static_cast<unsigned>(views - 1);
   const unsigned other_pairs = reference_pairs * (reference_pairs - 1) / 2;
-  const unsigned total_weight = std::max(1U, 2 * reference_pairs + other_pairs);
-  const auto multiplier = static_cast<std::uint16_t>(std::min(65535U, 65536U / total_weight));
-
-  const std::vector<std::array<float, 2>> columns_of_map = ColumnDirections(volume.width);
-
-  ParallelFor(volume.height, 1, [&](int row_begin, int row_end) {
-    struct Scratch {
-      std::array<Lanes, kMaxViews> lanes;
-      RayBlock ray;
-      alignas(64) std::array<std::int32_t, kBlock> index;
-      alignas(64) std::array<std::uint64_t, kBlock> texels;
-      alignas(64) std::array<std::uint16_t, kBlock> sum;
-    };
-    const auto scratch = std::make_unique<Scratch>();
-    std::vector<std::uint8_t> by_label(static_cast<std::size_t>(volume.labels) * kBlock);
-    for (int y = row_begin; y < row_end; ++y) {
-      const std::uint64_t* reference_row = reference.row(2 * y + 1);
-      for (int x0 = 0; x0 < volume.width; x0 += kBlock) {
-        const int columns = std::min(kBlock, volume.width - x0);
-        FillRays(columns_of_map, x0, y, volume.height, &scratch->ray);
-        for (int i = 0; i < kBlock; ++i) {
-          const int x = std::min(x0 + i, volume.width - 1);
-          scratch->texels[static_cast<std::size_t>(i)] = reference_row[2 * x + 1];
-        }
-        Split(scratch->texels.data(), &scratch->lanes[0]);
-        for (int label = 0; label < volume.labels; ++label) {
-          const auto d = static_cast<float>(label * volume.step);
-          scratch->sum.fill(0);
-          for (std::size_t n = 1; n < views; ++n) {
-            const SweepNeighbour& neighbour = neighbours[n - 1];
-            LatticeIndices(scratch->ray, neighbour.offset.data(), d, neighbour.view->width,
-                           neighbour.view->height, scratch->index.data());
-            GatherTexels(neighbour.view->texels.data(), scratch->index.data(),
-                         scratch->texels.data());
-            Split(scratch->texels.data(), &scratch->lanes[n]);
-            for (std::size_t m = 0; m < n; ++m) {
-              AddPair(scratch->lanes[m], scratch->lanes[n], limits, m == 0 ? 2 : 1,
-                      scratch->sum.data());
-            }
-          }
-          NormaliseSums(scratch->sum.data(), multiplier,
-                        by_label.data() + static_cast<std::size_t>(label) * kBlock);
-        }
-        // Label fastest, as the optimiser walks it.
-        std::uint8_t* out = volume.cost.data() +
-                            (static_cast<std::size_t>(y) * static_cast<std::size_t>(volume.width) +
-                             static_cast<std::size_t>(x0)) *
-                                static_cast<std::size_t>(volume.labels);
-        StoreLabelFastest(by_label.data(), columns, volume.labels, out);
-      }
-    }
-  });
+  SweepTiles(
+      2 * reference_pairs + other_pairs,
+      [&] { return std::make_unique<PairTile>(reference, neighbours, views, limits); }, &volume);
   return volume;
 }
 

@@ -4,32 +4,19 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/stereo/cost_volume.h"
 #include "core/stereo/stereo_view.h"
 
 namespace omnihdr {
-
-// Matching cost of every inverse-distance hypothesis at every pixel of a lat-long map: bytes, label
-// fastest, then column, then row. Label k stands for the normalised disparity (1/r) k·step.
-struct CostVolume {
-  int width = 0;
-  int height = 0;
-  int labels = 0;
-  double step = 0.0;
-  std::vector<std::uint8_t> cost;
-  const std::uint8_t* at(int x, int y) const {
-    return cost.data() + (static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
-                          static_cast<std::size_t>(x)) *
-                             static_cast<std::size_t>(labels);
-  }
-};
 
 struct SweepOptions {
   int labels = 96;
   double max_disparity = 1.0;  // largest normalised disparity searched, inclusive
   int value_truncation = 36;   // of one lane's interval distance, in codes
   int gradient_truncation = 36;
-  int gradient_shift = 0;  // halves the gradient's say this many times
-  int unknown_cost = 24;   // of a pair of which one side says nothing (of 4 lanes' sum)
+  int gradient_shift = 0;          // halves the gradient's say this many times
+  int unknown_cost = 24;           // of a pair of which one side says nothing (of 4 lanes' sum)
+  std::vector<LabelRange> ranges;  // searched, tile by tile (cost_volume.h); empty = all labels
 };
 
 struct SweepNeighbour {

@@ -58,6 +58,8 @@ Result<int> EvaluateSuite(const EvaluateArguments& arguments) {
     // After each: an hour's work is not lost with the last case.
     OMNIHDR_TRY(WriteFileAtomic(folder / "report.md", FormatSuiteMarkdown(scores)));
     OMNIHDR_TRY(WriteFileAtomic(folder / "report.json", FormatSuiteJson(scores)));
+    OMNIHDR_TRY(WritePlots((folder / "reliability.png").string(),
+                           {ReliabilityPlot(ReliabilityOf(scores))}));
   }
   fmt::print("{}", arguments.json ? FormatSuiteJson(scores) : FormatSuiteTable(scores));
   bool met = true;

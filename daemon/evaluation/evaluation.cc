@@ -171,8 +171,8 @@ bool Known(const float* rgb) {
 
 Status ScorePictures(const std::filesystem::path& session, const SessionContents& contents,
                      const ViewFiles& view, const Place& place, const Reference& reference,
-                     std::optional<double> baseline, FrameMeasurer& measurer,
-                     PositionScore& score) {
+                     std::optional<double> baseline, FrameMeasurer& measurer, PositionScore& score,
+                     ReliabilityCurve& reliability) {
   const int width = view.radiance.width();
   const int height = view.radiance.height();
   const Projection output = Projection::Equirectangular(width, height);
@@ -225,6 +225,9 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
     }
     area.mask = seen.view();
     score.disparity = CompareDisparity(metric, truth.disparity, *baseline, area);
+    if (!view.confidence.empty()) {
+      reliability.Add(metric, view.confidence, truth.disparity, *baseline, area);
+    }
   }
   return {};
 }
@@ -319,7 +322,7 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
       if (reference && place.own->status == FrameStatus::kOk) {
         OMNIHDR_ASSIGN(const ViewFiles view, ReadView(views, at->first));
         OMNIHDR_TRY(ScorePictures(session, contents, view, place, *reference,
-                                  MeanBaseline(places, at), measurer, position)
+                                  MeanBaseline(places, at), measurer, position, score.reliability)
                         .Context(fmt::format("position {}", Value(at->first))));
       }
     }

@@ -11,8 +11,10 @@
 #include "core/quality/disparity_metrics.h"
 #include "core/quality/pose_metrics.h"
 #include "core/quality/radiance_metrics.h"
+#include "core/quality/reliability.h"
 #include "core/session/session.h"
 #include "daemon/evaluation/own_frame.h"
+#include "daemon/evaluation/plot.h"
 
 namespace omnihdr {
 
@@ -75,6 +77,8 @@ struct SessionScore {
     std::optional<double> translation_percent;  // largest, not mean
   };
   std::optional<Mean> mean;
+  // Of the disparity's confidence, over all views whose true disparity is known; may be empty.
+  ReliabilityCurve reliability;
   int complete = 0;  // positions with a view
   // How far the views' mean log10 RMSE is below the own frames': 0.25 = a quarter better.
   double improvement() const { return mean ? 1.0 - mean->view_rmse / mean->own_rmse : 0.0; }
@@ -86,6 +90,11 @@ Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
                                      const EvaluationOptions& options,
                                      const std::function<void(int done, int of)>& progress);
 
+// "12 -> 15, 34 -> 31, ... (mean gap 2.5)": of each bin that holds anything to speak of what its
+// pixels are called and what share of them is right, in percent.
+std::string FormatReliability(const ReliabilityCurve& reliability);
+// Bins' shares over their confidences, beside the diagonal of a perfect confidence.
+Plot ReliabilityPlot(const ReliabilityCurve& reliability);
 // For people: a table with a line a position and the means.
 std::string FormatScoreTable(const SessionScore& score);
 // For programs: one JSON object; unknown numbers are null.

@@ -189,6 +189,10 @@ std::string FormatScoreTable(const SessionScore& score) {
     out += line + "\n";
   }
   if (score.mean && score.mean->rotation_deg) out += "(of the poses not the mean: the largest)\n";
+  if (!score.reliability.empty()) {
+    out += fmt::format("disparity called right with ... and right in, %: {}\n",
+                       FormatReliability(score.reliability));
+  }
   for (const PositionScore& p : score.positions) {
     for (const std::string& warning : p.warnings) {
       out += fmt::format("position {}: {}\n", Value(p.position), warning);
@@ -197,6 +201,44 @@ std::string FormatScoreTable(const SessionScore& score) {
   out +=
       fmt::format("{} of {} positions have their view\n", score.complete, score.positions.size());
   return out;
+}
+
+std::string FormatReliability(const ReliabilityCurve& reliability) {
+  std::string out;
+  double total = 0.0;
+  for (const ReliabilityCurve::Bin& bin : reliability.Bins()) total += bin.weight;
+  for (const ReliabilityCurve::Bin& bin : reliability.Bins()) {
+    if (bin.weight < 1e-3 * total) continue;
+    out += fmt::format("{}{:.0f} -> {:.0f}", out.empty() ? "" : ", ", 100.0 * bin.confidence,
+                       100.0 * bin.right);
+  }
+  return fmt::format("{} (mean gap {:.1f})", out, 100.0 * reliability.CalibrationError());
+}
+
+Plot ReliabilityPlot(const ReliabilityCurve& reliability) {
+  Plot plot;
+  plot.title = "Confidence of the disparity";
+  plot.x_label = "called right";
+  plot.y_label = "share that is right";
+  PlotSeries diagonal;
+  diagonal.name = "perfect";
+  diagonal.colour = {170, 170, 170};
+  diagonal.x = diagonal.y = {0.0, 1.0};
+  PlotSeries ours;
+  ours.name = "ours";
+  ours.colour = {200, 60, 30};
+  PlotSeries dots;
+  dots.colour = ours.colour;
+  dots.dots = true;
+  for (const ReliabilityCurve::Bin& bin : reliability.Bins()) {
+    if (bin.weight <= 0.0) continue;
+    for (PlotSeries* series : {&ours, &dots}) {
+      series->x.push_back(bin.confidence);
+      series->y.push_back(bin.right);
+    }
+  }
+  plot.series = {std::move(diagonal), std::move(ours), std::move(dots)};
+  return plot;
 }
 
 std::string FormatScoreJson(const SessionScore& score) {
@@ -232,6 +274,16 @@ std::string FormatScoreJson(const SessionScore& score) {
   Json json = {{"reference", score.reference.empty() ? Json(nullptr) : Json(score.reference)},
                {"complete", score.complete},
                {"positions", std::move(positions)}};
+  if (!score.reliability.empty()) {
+    Json bins = Json::array();
+    for (const ReliabilityCurve::Bin& bin : score.reliability.Bins()) {
+      bins.push_back({{"weight", Number(bin.weight)},
+                      {"confidence", Number(bin.confidence)},
+                      {"right", Number(bin.right)}});
+    }
+    json["reliability"] = {{"calibration_error", Number(score.reliability.CalibrationError())},
+                           {"bins", std::move(bins)}};
+  }
   if (score.mean) {
     const SessionScore::Mean& m = *score.mean;
     json["mean"] = {{"positions", m.positions},

@@ -58,6 +58,9 @@ struct SuiteScore {
 Result<SuiteScore> RunSuiteCase(const SuiteCase& drive, const PipelineOptions& options,
                                 const std::filesystem::path& directory);
 
+// Of all cases' disparities together.
+ReliabilityCurve ReliabilityOf(const std::vector<SuiteScore>& scores);
+
 // One line a case: our error beside the oracle's, the thesis's, the own frame's and no
 // registration; disparity; poses; time; what was missed.
 std::string FormatSuiteTable(const std::vector<SuiteScore>& scores);

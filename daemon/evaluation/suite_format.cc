@@ -73,6 +73,12 @@ Json ScoreJson(const SessionScore& score) {
 
 }  // namespace
 
+ReliabilityCurve ReliabilityOf(const std::vector<SuiteScore>& scores) {
+  ReliabilityCurve all;
+  for (const SuiteScore& score : scores) all.Add(score.ours.reliability);
+  return all;
+}
+
 std::string FormatSuiteTable(const std::vector<SuiteScore>& scores) {
   const std::vector<Column> columns = Columns();
   std::vector<std::vector<std::string>> lines(scores.size() + 2);
@@ -95,6 +101,10 @@ std::string FormatSuiteTable(const std::vector<SuiteScore>& scores) {
       text += fmt::format("  {:>{}}", line[i], widths[i]);
     }
     out += text.substr(0, text.find_last_not_of(' ') + 1) + "\n";
+  }
+  if (const ReliabilityCurve all = ReliabilityOf(scores); !all.empty()) {
+    out += fmt::format("\nDisparity called right with ... and right in, %: {}\n",
+                       FormatReliability(all));
   }
   int missed = 0;
   std::string what;
@@ -129,6 +139,12 @@ std::string FormatSuiteMarkdown(const std::vector<SuiteScore>& scores) {
     out += "|";
     for (const Column& column : columns) out += fmt::format(" {} |", column.cell(score));
     out += "\n";
+  }
+  if (const ReliabilityCurve all = ReliabilityOf(scores); !all.empty()) {
+    out += fmt::format(
+        "\nConfidence of the disparity, all cases: called right with ... and right in, %: {}\n\n"
+        "![reliability](reliability.png)\n",
+        FormatReliability(all));
   }
   for (const SuiteScore& score : scores) {
     const std::string missed = MissedOf(score);

@@ -30,6 +30,10 @@ Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId positi
                 disparity_path.string(), radiance.width, radiance.height);
   }
   view.disparity = std::move(found->second);
+  if (const auto confidence = disparity.channels.find("confidence");
+      confidence != disparity.channels.end()) {
+    view.confidence = std::move(confidence->second);
+  }
   return view;
 }
 

@@ -15,7 +15,8 @@ struct ViewFiles {
   Image<float> radiance;  // W×H×3
   Image<float>
       disparity;  // W×H×1, 1/metre or 1/baseline unit; empty when the view has none (temporal)
-  Image<float> origin;  // W×H×1, PixelOrigin
+  Image<float> confidence;  // W×H×1, of the disparity; empty when the file has none
+  Image<float> origin;      // W×H×1, PixelOrigin
 };
 Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId position);
 

@@ -58,7 +58,7 @@ class Methods : public ::testing::Test {
 
 TEST_F(Methods, EveryOneGivesWholeViewsOfItsOwn) {
   const auto ours = Bytes(Quick());
-  std::vector<PipelineOptions> all(10, Quick());
+  std::vector<PipelineOptions> all(11, Quick());
   all[0].cost = StereoCost::kRadiometric;
   all[1].cost = StereoCost::kCensus;
   all[2].cost = StereoCost::kMutualInformation;
@@ -69,6 +69,7 @@ TEST_F(Methods, EveryOneGivesWholeViewsOfItsOwn) {
   all[7].merge_weights = MergeWeights::kHat;
   all[8].consistency = false;
   all[9].occlusion = false;
+  all[10].search = StereoSearch::kFull;
   for (const PipelineOptions& options : all) {
     EXPECT_FALSE(SameBytes(Bytes(options), ours)) << DescribeMethods(options);
   }
@@ -119,8 +120,9 @@ TEST(ResumedMethods, AStateOfOtherMethodsIsNotContinued) {
 TEST(DescribeMethods, NamesWhatIsNotTheDefault) {
   EXPECT_EQ(DescribeMethods(PipelineOptions{}), "");
   EXPECT_EQ(DescribeMethods(PipelineOptions::Thesis()),
-            "stereo.cost = radiometric, stereo.fusion = stability, stereo.filter = wavelet, "
-            "stereo.fill = superpixels, stereo.sky = true, merge.neighbours = 1, merge.weights = "
+            "stereo.cost = radiometric, stereo.search = full, stereo.fusion = stability, "
+            "stereo.filter = wavelet, stereo.fill = superpixels, stereo.sky = true, "
+            "merge.neighbours = 1, merge.weights = "
             "hat, merge.consistency = false, merge.occlusion = false");
 }
 

@@ -4,20 +4,18 @@
 
 #include <cmath>
 #include <limits>
-#include <numbers>
 
 namespace omnihdr::disparity_metrics_test {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-constexpr double kOnePixel = 2.0 * std::numbers::pi / 1536.0;
 
 TEST(CompareDisparity, AnErrorOfLessThanAPixelOfParallaxIsGood) {
   const Image<float> truth(10, 1, 1, 0.5F);
   const double baseline = 0.3;
   Image<float> tested(10, 1, 1, 0.5F);
-  tested.at(0, 0) += static_cast<float>(0.9 * kOnePixel / baseline);
-  tested.at(1, 0) -= static_cast<float>(1.1 * kOnePixel / baseline);
+  tested.at(0, 0) += static_cast<float>(0.9 * kOnePixelOfParallax / baseline);
+  tested.at(1, 0) -= static_cast<float>(1.1 * kOnePixelOfParallax / baseline);
   const DisparityErrors errors = CompareDisparity(tested, truth, baseline, {});
   EXPECT_NEAR(errors.bad1, 0.1, 1e-12);
   EXPECT_EQ(errors.unknown, 0.0);

@@ -41,6 +41,51 @@ TEST(StereoView, AMeasuredTexelIsOneCodeOfItsLogarithm) {
   }
 }
 
+TEST(HalvedStereoView, OfAnEvenViewIsTheSame) {
+  const StereoView view = View(Even(0.5F));
+  const StereoView halved = HalveStereoView(view);
+  ASSERT_EQ(halved.width, 32);
+  ASSERT_EQ(halved.height, 16);
+  ASSERT_EQ(halved.texels.size(), 17U * 33U);
+  for (const std::uint64_t texel : halved.texels) EXPECT_EQ(texel, view.row(3)[3]);
+}
+
+TEST(HalvedStereoView, HoldsTheMeanOfTheIntervalsAround) {
+  StereoView view = View(Even(0.5F));
+  const auto set = [&](int x, int y, int lo, int hi) {
+    std::uint64_t& texel = view.texels[static_cast<std::size_t>(y * (view.width + 1) + x)];
+    texel = (texel & ~0xFFFFULL) | static_cast<std::uint64_t>(lo) |
+            static_cast<std::uint64_t>(hi) << 8U;
+  };
+  for (int y = 9; y <= 11; ++y) {
+    for (int x = 19; x <= 21; ++x) set(x, y, 100, 100);
+  }
+  set(20, 10, 200, 255);  // at least: a quarter of the weight
+  const std::array<int, 8> b = Bytes(HalveStereoView(view).row(5)[10]);
+  EXPECT_NEAR(b[0], 125, 1);
+  EXPECT_NEAR(b[1], 138, 2);
+}
+
+TEST(HalvedStereoView, SaysNothingNextToWhatSaysNothing) {
+  StereoView view = View(Even(0.5F));
+  view.texels[static_cast<std::size_t>(10 * (view.width + 1) + 20)] = 0x00FF00FF00FF00FFULL;
+  const StereoView halved = HalveStereoView(view);
+  const std::array<int, 8> there = Bytes(halved.row(5)[10]);
+  EXPECT_GT(there[0], there[1]);
+  const std::array<int, 8> apart = Bytes(halved.row(5)[12]);
+  EXPECT_EQ(apart[0], apart[1]);
+}
+
+TEST(HalvedStereoView, RowsCloseRoundTheGlobe) {
+  StereoView view = View(Even(0.5F));
+  view.texels[static_cast<std::size_t>(10 * (view.width + 1) + view.width - 1)] =
+      0x00FF00FF00FF00FFULL;
+  const StereoView halved = HalveStereoView(view);
+  const std::array<int, 8> first = Bytes(halved.row(5)[0]);
+  EXPECT_GT(first[0], first[1]);
+  EXPECT_EQ(halved.row(5)[0], halved.row(5)[halved.width]);
+}
+
 TEST(StereoView, ASaturatedChannelSaysAtLeast) {
   const std::array<int, 8> b = Bytes(View(Even(0.5F, kSaturatedB)).row(16)[20]);
   EXPECT_EQ(b[0], b[1]);

@@ -176,6 +176,72 @@ TEST(SweepCosts, AMaskedCornerLeavesTheRestUntouched) {
   }
 }
 
+// Ranges that leave out much, none the same as that of its neighbours.
+std::vector<LabelRange> ChangingRanges(const CostVolume& volume) {
+  std::vector<LabelRange> ranges = volume.ranges;
+  for (std::size_t k = 0; k < ranges.size(); ++k) {
+    ranges[k] = {static_cast<int>(k * 5 % 40), 8 + 8 * static_cast<int>(k % 3)};
+  }
+  return ranges;
+}
+
+TEST(SweepCosts, OfARangeAreThoseOfTheWholeSearch) {
+  const std::vector<double> seconds = {0.5, 1.0, 0.25, 0.5, 1.0};
+  const Matching whole = Match(seconds);
+  SweepOptions options = WithLabels();
+  options.ranges = ChangingRanges(whole.volume);
+  const Matching some = Match(seconds, options);
+  for (int y = 0; y < whole.volume.height; ++y) {
+    for (int x = 0; x < whole.volume.width; ++x) {
+      const LabelRange& range = some.volume.range(x, y);
+      ASSERT_TRUE(std::equal(some.volume.at(x, y), some.volume.at(x, y) + range.count,
+                             whole.volume.at(x, y) + range.first))
+          << x << ", " << y;
+    }
+  }
+}
+
+TEST(SemiGlobal, ChoosesWithinTheRangesOnly) {
+  const std::vector<double> seconds = {0.5, 1.0, 0.25, 0.5, 1.0};
+  SweepOptions options = WithLabels();
+  options.ranges = ChangingRanges(Match(seconds).volume);
+  const Matching m = Match(seconds, options);
+  for (int y = 0; y < m.volume.height; ++y) {
+    for (int x = 0; x < m.volume.width; ++x) {
+      const LabelRange& range = m.volume.range(x, y);
+      const double label = m.map.disparity.at(x, y) / kStep;
+      ASSERT_GE(label, range.first - 1e-3);
+      ASSERT_LE(label, range.first + range.count - 1 + 1e-3);
+    }
+  }
+}
+
+TEST(SemiGlobal, WhatAMapOfHalfTheSizeLeavesInQuestionIsEnough) {
+  const std::vector<double> seconds = {0.5, 1.0, 0.25, 0.5, 1.0};
+  const Matching whole = Match(seconds);
+  std::vector<StereoView> halves;
+  for (const StereoView& view : whole.views) halves.push_back(HalveStereoView(view));
+  std::vector<SweepNeighbour> neighbours;
+  for (const std::size_t n : {1U, 3U, 0U, 4U}) {
+    neighbours.push_back({&halves[n], TheDrive().Offset(kCentre, n)});
+  }
+  SweepOptions coarse;
+  coarse.labels = kLabels / 2;
+  coarse.max_disparity = kMaxDisparity;
+  const DisparityMap guide =
+      OptimiseSemiGlobal(SweepCosts(halves[kCentre], neighbours, coarse), halves[kCentre], {});
+  SweepOptions options = WithLabels();
+  options.ranges = RangesAround(guide, whole.volume.width, whole.volume.height, kLabels,
+                                kMaxDisparity, RangeOptions{});
+  const Matching some = Match(seconds, options);
+  EXPECT_LT(some.volume.cost.size(), 0.7 * static_cast<double>(whole.volume.cost.size()));
+  const double of_whole = ShareOfRightDisparities(whole.map, kEverywhere);
+  const double of_some = ShareOfRightDisparities(some.map, kEverywhere);
+  RecordProperty("right_whole", fmt::format("{:.3f}", of_whole));
+  RecordProperty("right_some", fmt::format("{:.3f}", of_some));
+  EXPECT_GT(of_some, of_whole - 0.01);
+}
+
 TEST(SweepCosts, WithoutNeighboursNothingIsKnown) {
   const Matching m = Match({0, 0, 0, 0, 0});
   SweepOptions options;
@@ -250,13 +316,8 @@ TEST(SemiGlobal, IsFinerThanALabel) {
 
 TEST(SemiGlobal, AnEvenCostHasNoConfidence) {
   const Matching m = Match({0, 0, 0, 0, 0});
-  CostVolume volume;
-  volume.width = m.volume.width;
-  volume.height = m.volume.height;
-  volume.labels = 16;
-  volume.step = 0.01;
-  volume.cost.assign(
-      static_cast<std::size_t>(volume.width) * static_cast<std::size_t>(volume.height) * 16U, 30);
+  CostVolume volume = CostVolume::Allocate(m.volume.width, m.volume.height, 16, 0.15, {});
+  std::fill(volume.cost.begin(), volume.cost.end(), std::uint8_t{30});
   const DisparityMap map = OptimiseSemiGlobal(volume, m.views[kCentre], {});
   for (const float c : map.confidence.values()) ASSERT_EQ(c, 0.0F);
   for (const float d : map.disparity.values()) ASSERT_EQ(d, 0.0F);
@@ -265,21 +326,13 @@ TEST(SemiGlobal, AnEvenCostHasNoConfidence) {
 TEST(SemiGlobal, RowsCloseRoundTheGlobe) {
   // One label is cheap in a band across the seam, and nothing is known at the seam itself.
   const Matching m = Match({0, 0, 0, 0, 0});
-  CostVolume volume;
-  volume.width = m.volume.width;
-  volume.height = m.volume.height;
-  volume.labels = 16;
-  volume.step = 0.01;
-  volume.cost.assign(
-      static_cast<std::size_t>(volume.width) * static_cast<std::size_t>(volume.height) * 16U, 30);
+  CostVolume volume = CostVolume::Allocate(m.volume.width, m.volume.height, 16, 0.15, {});
+  std::fill(volume.cost.begin(), volume.cost.end(), std::uint8_t{30});
   for (int y = 0; y < volume.height; ++y) {
     for (int x = 0; x < volume.width; ++x) {
       const bool at_seam = x < 3 || x >= volume.width - 3;
       if (at_seam) continue;
-      const std::size_t at = (static_cast<std::size_t>(y) * static_cast<std::size_t>(volume.width) +
-                              static_cast<std::size_t>(x)) *
-                             16U;
-      volume.cost[at + 9] = 0;
+      volume.cost[volume.offset(x, y) + 9] = 0;
     }
   }
   const DisparityMap map = OptimiseSemiGlobal(volume, m.views[kCentre], {});

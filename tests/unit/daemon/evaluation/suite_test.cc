@@ -53,8 +53,13 @@ TEST(Suite, ACaseIsSimulatedProcessedAndJudgedAgainstItsRivals) {
   EXPECT_LT(score->ours.mean->range_share, 1.2);
   EXPECT_THAT(FormatScoreJson(score->ours), HasSubstr("\"range_share\""));
 
+  // The oracle is sure of its true depth, and right to be.
+  EXPECT_LT(score->oracle.reliability.CalibrationError(), 0.03);
+  EXPECT_FALSE(score->ours.reliability.empty());
   const std::string table = FormatSuiteTable({*score});
   EXPECT_THAT(table, HasSubstr(drive.name));
+  EXPECT_THAT(table, HasSubstr("called right with"));
+  EXPECT_THAT(FormatScoreJson(score->ours), HasSubstr("\"calibration_error\""));
   EXPECT_THAT(FormatSuiteMarkdown({*score}), HasSubstr("](" + drive.name + ".png)"));
   EXPECT_TRUE(nlohmann::json::accept(FormatSuiteJson({*score})));
 
