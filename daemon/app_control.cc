@@ -1,0 +1,399 @@
+#include "daemon/app.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cmath>
+#include <csignal>
+#include <utility>
+
+// What the daemon does on its main loop, and its answers to the API.
+namespace omnihdr {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+
+constexpr auto kApiDeadline = seconds(2);
+// Triggers handled before the loop looks after everything else again.
+constexpr int kTriggersAtOnce = 64;
+
+}  // namespace
+
+// ---- main loop
+
+void App::OnStateChanged(const StateReport& report) {
+  const std::string text = fmt::format("{}: {}", ToString(report.state), report.reason);
+  notifier_.StatusText(text);
+  hub_.Publish({{"event", "state"}, {"state", ToString(report.state)}, {"reason", report.reason}});
+  spdlog::debug("state {}", text);
+}
+
+void App::OnSignal(int signal) {
+  if (phase_ == Phase::kStopping) {
+    spdlog::warn("second signal: not waiting for what is on its way");
+    loop_->Quit();
+    return;
+  }
+  StopNow(signal == SIGINT ? "interrupted" : "asked to stop by SIGTERM");
+}
+
+void App::ScheduleCaptureTimer() {
+  CaptureController* capture = controller();
+  if (capture == nullptr) return;
+  if (const auto deadline = capture->NextDeadline()) {
+    capture_timer_->Set(*deadline);
+  } else {
+    capture_timer_->Disarm();
+  }
+}
+
+Result<AcceptedTrigger> App::HandleTrigger(const TriggerEvent& event) {
+  CaptureController* capture = controller();
+  Result<AcceptedTrigger> accepted = capture->OnTrigger(event);
+  ScheduleCaptureTimer();
+  if (!accepted) {
+    state_.Update([&](CaptureConditions& c) {
+      if (c.storage.empty()) c.storage = accepted.error().message;
+    });
+    return accepted;
+  }
+  nlohmann::json json = {{"event", "trigger"},
+                         {"trigger", Value(accepted->trigger)},
+                         {"position", Value(accepted->position)},
+                         {"step", accepted->step},
+                         {"exposure_s", accepted->exposure.time.seconds()}};
+  if (accepted->odometer_m) json["odometer_m"] = *accepted->odometer_m;
+  hub_.Publish(json);
+  return accepted;
+}
+
+void App::OnTriggersReady() {
+  if (!source_running_) return;
+  for (int i = 0; i < kTriggersAtOnce; ++i) {
+    Result<std::optional<TriggerEvent>> event = parts_.triggers->Poll();
+    if (!event) {
+      StopSource();
+      DisarmBecause(event.error());
+      return;
+    }
+    if (!*event) {
+      CheckSeriesEnd();
+      if (!source_running_) return;
+      if (const auto next = parts_.triggers->NextDeadline()) trigger_timer_->Set(*next);
+      return;
+    }
+    if (phase_ != Phase::kRunning || !armed_ || controller() == nullptr) {
+      ++ignored_triggers_;
+      continue;
+    }
+    // A refusal is counted and shown in the state.
+    [[maybe_unused]] const auto accepted = HandleTrigger(**event);
+    CheckSeriesEnd();
+    if (!source_running_) return;
+  }
+  trigger_timer_->Set(clock_.Now());
+}
+
+void App::DisarmBecause(const Error& error) {
+  const std::string reason =
+      fmt::format("trigger source {}: {}", parts_.triggers->kind(), error.message);
+  spdlog::error("{}", reason);
+  armed_ = false;
+  state_.Update([&](CaptureConditions& c) {
+    c.armed = false;
+    c.idle = reason;
+  });
+}
+
+void App::CheckSeriesEnd() {
+  if (phase_ != Phase::kRunning) return;
+  CaptureController* capture = controller();
+  if (config_.trigger.limit > 0 && capture != nullptr &&
+      Value(capture->next_trigger()) >= config_.trigger.limit) {
+    EndSession(fmt::format("all {} triggers of the series have come", config_.trigger.limit),
+               false);
+  } else if (source_running_ && parts_.triggers->exhausted()) {
+    EndSession("the trigger source has come to its end", false);
+  }
+}
+
+void App::StartSource() {
+  if (!armed_ || source_running_ || phase_ != Phase::kRunning || controller() == nullptr ||
+      !state_.conditions().camera_ready) {
+    return;
+  }
+  // A series that was complete before a restart stays complete.
+  CheckSeriesEnd();
+  if (phase_ != Phase::kRunning) return;
+  if (const Status started = parts_.triggers->Start(); !started) {
+    DisarmBecause(started.error());
+    return;
+  }
+  source_running_ = true;
+  const int fd = parts_.triggers->fd();
+  if (fd >= 0) {
+    if (const Status watched = loop_->OnReadable(fd, [this] { OnTriggersReady(); }); !watched) {
+      StopSource();
+      DisarmBecause(watched.error());
+      return;
+    }
+    watched_fd_ = fd;
+  }
+  OnTriggersReady();
+}
+
+void App::StopSource() {
+  if (!source_running_) return;
+  if (watched_fd_ >= 0) loop_->StopWatching(watched_fd_);
+  watched_fd_ = -1;
+  trigger_timer_->Disarm();
+  parts_.triggers->Stop();
+  source_running_ = false;
+}
+
+void App::EndSession(const std::string& reason, bool exit_after) {
+  exit_after_end_ = exit_after_end_ || exit_after;
+  if (phase_ == Phase::kEnded) {
+    if (exit_after_end_) StopNow(reason);
+    return;
+  }
+  if (phase_ != Phase::kRunning) return;
+  phase_ = Phase::kEnding;
+  end_reason_ = reason;
+  spdlog::info("session: ending: {}", reason);
+  StopSource();
+  armed_ = false;
+  state_.Update([&](CaptureConditions& c) {
+    c.armed = false;
+    c.idle = fmt::format("{}: finishing the views", reason);
+    if (exit_after_end_) c.stopping = c.idle;
+  });
+  hub_.Publish({{"event", "session"}, {"what", "ending"}, {"reason", reason}});
+  CheckDrained();
+}
+
+void App::OnSessionEnded() {
+  if (phase_ == Phase::kStopping) return;
+  const bool news = !ended_;
+  ended_ = true;
+  phase_ = Phase::kEnded;
+  if (news) {
+    state_.Update([&](CaptureConditions& c) {
+      c.idle = fmt::format("the session has ended ({})", end_reason_);
+    });
+    spdlog::info("session: ended, all views are finished");
+    hub_.Publish({{"event", "session"}, {"what", "ended"}, {"reason", end_reason_}});
+  }
+  if (exit_after_end_) StopNow("the session has ended");
+}
+
+void App::StopNow(const std::string& reason) {
+  if (phase_ == Phase::kStopping) return;
+  phase_ = Phase::kStopping;
+  spdlog::info("stopping: {}", reason);
+  StopSource();
+  armed_ = false;
+  state_.Update([&](CaptureConditions& c) {
+    c.armed = false;
+    c.stopping = reason;
+  });
+  // Every frame on its way has a deadline of its own; the rest is for the disk.
+  double longest_s = config_.camera.frame_timeout_s;
+  for (const ExposureTime exposure : config_.bracket.Exposures()) {
+    longest_s = std::max(longest_s, config_.camera.frame_timeout_s + exposure.seconds());
+  }
+  stop_deadline_ =
+      clock_.Now() + Nanoseconds(std::llround(longest_s * 1e9)) + Nanoseconds(seconds(5));
+  CheckDrained();
+}
+
+bool App::Drained() const {
+  const CaptureController* capture = controller();
+  return capture == nullptr || (capture->open_triggers() == 0 && recorder_.reserved_lines() == 0);
+}
+
+void App::CheckDrained() {
+  if (phase_ == Phase::kStopping) {
+    if (Drained() || clock_.Now() >= stop_deadline_) {
+      loop_->Quit();
+      return;
+    }
+  } else if (phase_ == Phase::kEnding) {
+    if (Drained()) {
+      {
+        std::lock_guard lock(mutex_);
+        finish_views_ = true;
+      }
+      journal_grew_.notify_all();
+      return;
+    }
+  } else {
+    return;
+  }
+  drain_timer_->Set(clock_.Now() + Nanoseconds(milliseconds(10)));
+}
+
+void App::Supervise() {
+  supervise_timer_->Set(clock_.Now() + supervise_interval_);
+  for (const auto* stage : {&camera_stage_, &recorder_stage_, &pipeline_stage_}) {
+    if (!*stage || !(*stage)->finished() || phase_ == Phase::kStopping) continue;
+    outcome_ = (*stage)->Join();
+    if (outcome_) outcome_ = Fail(ErrorKind::kSoftware, "stage {} ended", (*stage)->name());
+    spdlog::critical("stage {}: {}", (*stage)->name(), outcome_.error().message);
+    state_.Update([&](CaptureConditions& c) { c.fault = outcome_.error().message; });
+    loop_->Quit();
+    return;
+  }
+  if (const auto stalled = supervisor_.Stalled(clock_.Now())) {
+    spdlog::critical("{}: the watchdog is not fed", *stalled);
+    state_.Update([&](CaptureConditions& c) { c.fault = *stalled; });
+    return;
+  }
+  notifier_.FeedWatchdog();
+}
+
+// ---- API
+
+StatusReport App::BuildStatus() const {
+  StatusReport s;
+  s.version = OMNIHDR_VERSION;
+  s.uptime_s = std::chrono::duration<double>(clock_.Now() - started_).count();
+  s.state = state_.report();
+  s.camera_ready = state_.conditions().camera_ready;
+  s.armed = armed_;
+  s.trigger_source = std::string(parts_.triggers->kind());
+  s.triggers_ignored = ignored_triggers_;
+  s.session_ended = ended_;
+  s.pipeline_enabled = static_cast<bool>(parts_.open_pipeline);
+  s.buffers = static_cast<std::uint64_t>(std::max(config_.recorder.queue_frames, 1));
+  s.buffers_free = recorder_.free_buffers();
+  {
+    std::lock_guard lock(mutex_);
+    if (session_) {
+      s.session_directory = session_->directory.string();
+      s.session_resumed = session_->resumed;
+    }
+    s.camera_model = camera_model_;
+    s.camera_serial = camera_serial_;
+    s.lines = lines_;
+    s.triggers = journaled_;
+    s.views_finished = static_cast<std::uint64_t>(std::max(views_.views_complete, 0));
+    const auto expected = views_caught_up_ ? static_cast<std::int64_t>(views_.positions_seen)
+                                           : static_cast<std::int64_t>(positions_with_pixels_);
+    s.backlog =
+        parts_.open_pipeline ? std::max<std::int64_t>(0, expected - views_.views_complete) : 0;
+    s.last_view = last_view_;
+    s.views_error = views_error_;
+  }
+  if (const CaptureController* capture = controller()) {
+    const TriggerId next = capture->next_trigger();
+    const std::uint64_t triggers = std::max(Value(next), s.triggers);
+    s.triggers_in_flight = triggers - s.triggers;
+    s.triggers = triggers;
+    s.capture = capture->counts();
+    s.bracket_step = capture->plan().StepForTrigger(next);
+    s.bracket_steps = static_cast<int>(capture->plan().exposures().size());
+    s.bracket_order = std::string(ToString(capture->plan().order()));
+    s.exposure = capture->plan().ForTrigger(next);
+  }
+  if (s.triggers > 0) {
+    s.positions_triggered =
+        static_cast<std::int64_t>((s.triggers - 1) /
+                                  static_cast<std::uint64_t>(config_.bracket.frames_per_position)) +
+        1;
+  }
+  if (parts_.positions) s.odometer_m = parts_.positions->OdometerMetres(clock_.Now());
+  return s;
+}
+
+Result<StatusReport> App::GetStatus() {
+  return loop_->Call([this] { return BuildStatus(); }, kApiDeadline);
+}
+
+ApiReply App::OnLoop(std::function<ApiReply()> function) {
+  Result<ApiReply> reply = loop_->Call(std::move(function), kApiDeadline);
+  return reply ? *reply : ApiReply::Refused(503, reply.error().message);
+}
+
+ApiReply App::ArmNow() {
+  if (phase_ != Phase::kRunning) {
+    return ApiReply::Refused(
+        409, phase_ == Phase::kStopping ? "the daemon is stopping" : "the session has ended");
+  }
+  armed_ = true;
+  state_.Update([](CaptureConditions& c) {
+    c.armed = true;
+    c.idle.clear();
+  });
+  StartSource();
+  // A source that cannot start, or a series that is complete, disarms again.
+  if (!armed_) return ApiReply::Refused(409, state_.conditions().idle);
+  return {200, {{"armed", true}, {"state", ToString(state_.report().state)}}};
+}
+
+ApiReply App::Arm() {
+  return OnLoop([this] {
+    ApiReply reply = ArmNow();
+    if (reply.http_status == 200) spdlog::info("armed");
+    return reply;
+  });
+}
+
+ApiReply App::Disarm() {
+  return OnLoop([this]() -> ApiReply {
+    StopSource();
+    armed_ = false;
+    state_.Update([](CaptureConditions& c) { c.armed = false; });
+    spdlog::info("disarmed");
+    return {200, {{"armed", false}, {"state", ToString(state_.report().state)}}};
+  });
+}
+
+ApiReply App::Trigger() {
+  return OnLoop([this]() -> ApiReply {
+    if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
+    if (phase_ != Phase::kRunning) return ApiReply::Refused(409, "the session has ended");
+    if (!armed_) return ApiReply::Refused(409, "disarmed: arm first");
+    if (controller() == nullptr) {
+      return ApiReply::Refused(503, fmt::format("no session yet: {}", state_.report().reason));
+    }
+    TriggerEvent event;
+    event.time = clock_.Now();
+    const Result<AcceptedTrigger> accepted = HandleTrigger(event);
+    if (!accepted) return ApiReply::Refused(503, accepted.error().message);
+    CheckSeriesEnd();
+    return {200,
+            {{"trigger", Value(accepted->trigger)},
+             {"position", Value(accepted->position)},
+             {"step", accepted->step},
+             {"exposure_s", accepted->exposure.time.seconds()}}};
+  });
+}
+
+ApiReply App::Finish() {
+  return OnLoop([this]() -> ApiReply {
+    if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
+    if (!session()) return ApiReply::Refused(409, "there is no session yet");
+    EndSession("asked to finish", false);
+    return {200, {{"ending", true}}};
+  });
+}
+
+ApiReply App::Stop(bool leave_session_open) {
+  return OnLoop([this, leave_session_open]() -> ApiReply {
+    if (leave_session_open || !session()) {
+      StopNow("asked to stop");
+    } else {
+      if (phase_ == Phase::kStopping) return {200, {{"stopping", true}}};
+      EndSession("asked to stop", true);
+      state_.Update([](CaptureConditions& c) {
+        if (c.stopping.empty()) c.stopping = "finishing the views";
+      });
+    }
+    return {200, {{"stopping", true}}};
+  });
+}
+
+}  // namespace omnihdr

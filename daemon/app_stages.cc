@@ -1,0 +1,330 @@
+#include "daemon/app.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+#include <sys/resource.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <thread>
+#include <utility>
+
+// The daemon's threads beside the main loop: camera, recorder, pipeline.
+namespace omnihdr {
+namespace {
+
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+
+constexpr auto kViewsFirstRetry = seconds(1);
+constexpr auto kViewsLongestRetry = seconds(30);
+
+CaptureOptions MakeCaptureOptions(const DaemonConfig& config, const CameraInfo& info) {
+  CaptureOptions options;
+  options.frame_timeout = Nanoseconds(std::llround(config.camera.frame_timeout_s * 1e9));
+  options.tolerance.relative = config.camera.exposure_tolerance;
+  options.tolerance.quantum_s = info.exposure_quantum_s;
+  return options;
+}
+
+// What is different between the camera of the session and the one found; empty when frames of both
+// can be in one journal.
+std::string Difference(const CameraDescription& session, const CameraDescription& camera) {
+  if (session.layout != camera.layout || session.width != camera.width ||
+      session.height != camera.height || session.bits != camera.bits ||
+      session.projection != camera.projection || session.bayer != camera.bayer ||
+      std::abs(session.z_min - camera.z_min) > 1e-6 ||
+      std::abs(session.z_max - camera.z_max) > 1e-6) {
+    return fmt::format(
+        "the session has frames of {}x{} ({}, {} bits), the camera delivers {}x{} "
+        "({}, {} bits) or another projection",
+        session.width, session.height, ToString(session.layout), session.bits, camera.width,
+        camera.height, ToString(camera.layout), camera.bits);
+  }
+  if (session.model != camera.model || session.serial != camera.serial) {
+    return fmt::format("the session was begun with camera {} {}, found {} {}", session.model,
+                       session.serial, camera.model, camera.serial);
+  }
+  return {};
+}
+
+// The lowest priority for the calling thread and, as they inherit it, the workers it starts.
+void LowerPriority() { ::setpriority(PRIO_PROCESS, static_cast<id_t>(::syscall(SYS_gettid)), 19); }
+
+void Rest(std::stop_token stop, Nanoseconds time) {
+  std::mutex mutex;
+  std::condition_variable_any never;
+  std::unique_lock lock(mutex);
+  never.wait_for(lock, stop, time, [] { return false; });
+}
+
+}  // namespace
+
+// ---- camera thread
+
+Status App::RunCamera(std::stop_token stop, Stage& self) {
+  while (!stop.stop_requested()) {
+    const Nanoseconds rest = runner_->Turn();
+    self.Progress();
+    if (rest > Nanoseconds(0)) Rest(stop, std::min<Nanoseconds>(rest, seconds(1)));
+  }
+  runner_->Close();
+  return {};
+}
+
+Status App::OnCameraOpened(const CameraInfo& info) {
+  const auto fault = [this](Error error) {
+    state_.Update([&](CaptureConditions& c) { c.fault = error.message; });
+    return tl::unexpected<Error>(std::move(error));
+  };
+  ExposureLimits limits;
+  limits.shortest = info.shortest;
+  limits.longest = info.longest;
+  limits.quantum_s = info.exposure_quantum_s;
+  Result<BracketPlan> plan = BracketPlan::Make(MakeBracketOptions(config_.bracket), limits);
+  if (!plan) return fault(plan.error());
+
+  std::shared_ptr<Session> session = this->session();
+  if (session) {
+    if (const std::string difference = Difference(session->info.camera, info.description);
+        !difference.empty()) {
+      return fault(Error{ErrorKind::kUnavailable,
+                         fmt::format("session {}: {}", session->directory.string(), difference)});
+    }
+  } else {
+    SessionInfo session_info;
+    session_info.created = IsoUtc(clock_.NowUtc());
+    session_info.camera = info.description;
+    session_info.response = info.response;
+    session_info.extra_json = info.extra_json;
+    session_info.files = info.files;
+    // Nobody asks a recorded frame for an exposure.
+    if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();
+    Result<SessionWriter> writer = SessionWriter::Create(choice_.directory, session_info);
+    if (!writer) return fault(writer.error());
+    session = std::make_shared<Session>(std::move(*writer));
+    session->directory = choice_.directory;
+    session->info = std::move(session_info);
+    spdlog::info("session {}: begun", choice_.directory.string());
+    hub_.Publish(
+        {{"event", "session"}, {"what", "begun"}, {"directory", session->directory.string()}});
+    {
+      std::lock_guard lock(mutex_);
+      session_ = session;
+    }
+    PostOrLog([this] { StartSessionStages(); });
+  }
+  {
+    std::lock_guard lock(mutex_);
+    camera_model_ = info.description.model;
+    camera_serial_ = info.description.serial;
+  }
+  if (!owned_controller_) {
+    owned_controller_ = std::make_unique<CaptureController>(
+        std::move(*plan), info.description, MakeCaptureOptions(config_, info),
+        TriggerId{session->store.writer().next_frame()}, recorder_,
+        [this](const ExposureRequest& request) { return runner_->Command(request); },
+        parts_.positions.get(), clock_);
+    controller_.store(owned_controller_.get(), std::memory_order_release);
+  }
+  return {};
+}
+
+void App::OnCameraAway(const Error& error) {
+  if (CaptureController* capture = controller()) capture->OnCameraLost(error.message);
+  const bool was_ready = state_.conditions().camera_ready;
+  const std::string before = state_.conditions().waiting;
+  state_.Update([&](CaptureConditions& c) {
+    c.camera_ready = false;
+    c.waiting = error.message;
+  });
+  if (was_ready || before != error.message) spdlog::warn("camera: {}", error.message);
+}
+
+// ---- recorder thread
+
+Status App::RunRecorder(std::stop_token stop, Stage& self) {
+  const std::shared_ptr<Session> session = this->session();
+  std::optional<HostTime> give_up;
+  while (true) {
+    const Recorder::Turn turn = recorder_.Step(session->store, milliseconds(100));
+    self.Progress();
+    if (stop.stop_requested()) {
+      if (turn == Recorder::Turn::kIdle) return {};
+      if (!give_up) give_up = clock_.Now() + seconds(10);
+      if (turn == Recorder::Turn::kFailed && clock_.Now() > *give_up) {
+        return Fail(ErrorKind::kIo, "{} triggers could not be journaled", recorder_.waiting());
+      }
+    }
+    if (turn == Recorder::Turn::kFailed) std::this_thread::sleep_for(milliseconds(200));
+  }
+}
+
+void App::OnJournaled(const FrameRecord& record) {
+  {
+    std::lock_guard lock(mutex_);
+    lines_.Add(record.status);
+    ++journaled_;
+    views_caught_up_ = false;
+    if (record.status == FrameStatus::kOk && Value(record.position) != last_position_with_pixels_) {
+      last_position_with_pixels_ = Value(record.position);
+      ++positions_with_pixels_;
+    }
+  }
+  journal_grew_.notify_all();
+  nlohmann::json event = {{"event", "frame"},
+                          {"frame", Value(record.frame)},
+                          {"position", Value(record.position)},
+                          {"status", ToString(record.status)},
+                          {"exposure_s", record.exposure.time.seconds()}};
+  if (!record.detail.empty()) event["detail"] = record.detail;
+  hub_.Publish(event);
+  if (record.status != FrameStatus::kOk) {
+    if (const auto count = drop_log_.Pass(clock_.Now())) {
+      spdlog::warn("trigger {}: {}: {}{}", Value(record.frame), ToString(record.status),
+                   record.detail, *count > 1 ? fmt::format(" ({} lost)", *count) : "");
+    }
+  }
+  if (CaptureController* capture = controller()) {
+    const CaptureController::RecentLosses losses = capture->recent_losses();
+    state_.Update([&](CaptureConditions& c) {
+      c.frames_lost = losses.lost == 0
+                          ? ""
+                          : fmt::format("{} of the last {} triggers gave no frame (last: {})",
+                                        losses.lost, losses.of, losses.last_reason);
+    });
+  }
+}
+
+// ---- pipeline thread
+
+void App::SetViewsError(const std::string& error) {
+  {
+    std::lock_guard lock(mutex_);
+    if (views_error_ == error) return;
+    views_error_ = error;
+  }
+  if (error.empty()) {
+    spdlog::info("views: going on");
+  } else {
+    spdlog::error("views: {}", error);
+  }
+  state_.Update([&](CaptureConditions& c) {
+    c.views_stalled = error.empty() ? "" : fmt::format("views: {}", error);
+  });
+}
+
+void App::WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_t known) {
+  std::unique_lock lock(mutex_);
+  journal_grew_.wait_for(lock, stop, timeout, [&] { return journaled_ != known || finish_views_; });
+}
+
+void App::OnViewDone(const ViewDone& view) {
+  if (!view.already_complete) {
+    spdlog::info(
+        "view {}: done in {:.2f} s (pose {:.2f}, stereo {:.2f}, merge {:.2f}, write {:.2f})",
+        Value(view.position), view.pose_s + view.stereo_s + view.merge_s + view.write_s,
+        view.pose_s, view.stereo_s, view.merge_s, view.write_s);
+    for (const std::string& warning : view.warnings) {
+      spdlog::warn("view {}: {}", Value(view.position), warning);
+    }
+  }
+  {
+    std::lock_guard lock(mutex_);
+    last_view_ = Value(view.position);
+  }
+  hub_.Publish({{"event", "view"},
+                {"position", Value(view.position)},
+                {"already_complete", view.already_complete},
+                {"seconds",
+                 {{"pose", view.pose_s},
+                  {"stereo", view.stereo_s},
+                  {"merge", view.merge_s},
+                  {"write", view.write_s}}},
+                {"warnings", view.warnings}});
+}
+
+Status App::FinishViews(SessionProcessor* processor) {
+  if (processor != nullptr) OMNIHDR_TRY(processor->Finish());
+  const std::shared_ptr<Session> session = this->session();
+  if (SessionEnded(session->directory)) return {};
+  std::uint64_t frames = 0;
+  {
+    std::lock_guard lock(mutex_);
+    frames = journaled_;
+  }
+  return MarkSessionEnded(session->directory, frames, clock_.NowUtc());
+}
+
+Status App::RunPipeline(std::stop_token stop, Stage& self) {
+  LowerPriority();
+  const std::shared_ptr<Session> session = this->session();
+  std::unique_ptr<SessionProcessor> processor;
+  Nanoseconds retry = kViewsFirstRetry;
+  bool ended = false;
+  const auto failed = [&](const Error& error) {
+    SetViewsError(error.message);
+    Rest(stop, retry);
+    retry = std::min<Nanoseconds>(retry * 2, kViewsLongestRetry);
+  };
+  while (!stop.stop_requested()) {
+    self.Progress();
+    if (!processor && parts_.open_pipeline) {
+      ProcessorCallbacks callbacks;
+      callbacks.view_done = [this](const ViewDone& view) { OnViewDone(view); };
+      callbacks.warning = [](const std::string& message) { spdlog::warn("{}", message); };
+      auto opened = parts_.open_pipeline(session->directory, std::move(callbacks));
+      if (!opened) {
+        failed(opened.error());
+        continue;
+      }
+      processor = std::move(*opened);
+    }
+    // Read before the step: what is journaled before the flag is set will then have been seen.
+    bool finish = false;
+    std::uint64_t journaled = 0;
+    {
+      std::lock_guard lock(mutex_);
+      finish = finish_views_;
+      journaled = journaled_;
+    }
+    SessionProcessor::Progress progress = SessionProcessor::Progress::kNothingNew;
+    if (processor) {
+      const Result<SessionProcessor::Progress> step = processor->Step();
+      if (!step) {
+        failed(step.error());
+        continue;
+      }
+      progress = *step;
+    }
+    const bool idle = progress == SessionProcessor::Progress::kNothingNew;
+    if (idle && finish && !ended) {
+      if (const Status finished = FinishViews(processor.get()); !finished) {
+        failed(finished.error());
+        continue;
+      }
+      ended = true;
+    }
+    SetViewsError("");
+    retry = kViewsFirstRetry;
+    {
+      std::lock_guard lock(mutex_);
+      if (processor) views_ = processor->counts();
+      views_caught_up_ = idle && journaled == journaled_;
+    }
+    if (ended && idle && finish) {
+      PostOrLog([this] { OnSessionEnded(); });
+      // Nothing comes any more: only the stop is waited for.
+      while (!stop.stop_requested()) {
+        self.Progress();
+        Rest(stop, seconds(1));
+      }
+    }
+    if (idle && !finish) WaitForJournal(stop, seconds(1), journaled);
+  }
+  return {};
+}
+
+}  // namespace omnihdr
