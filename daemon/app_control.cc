@@ -284,6 +284,9 @@ StatusReport App::BuildStatus() const {
                                            : static_cast<std::int64_t>(positions_with_pixels_);
     s.backlog =
         parts_.open_pipeline ? std::max<std::int64_t>(0, expected - views_.views_complete) : 0;
+    s.quality_level = views_.quality_level;
+    s.quality = DescribeQuality(views_.quality_level);
+    s.views_reduced = static_cast<std::uint64_t>(std::max(views_.views_reduced, 0));
     s.last_view = last_view_;
     s.views_error = views_error_;
   }

@@ -238,12 +238,31 @@ void App::OnViewDone(const ViewDone& view) {
   hub_.Publish({{"event", "view"},
                 {"position", Value(view.position)},
                 {"already_complete", view.already_complete},
+                {"quality_level", view.quality_level},
                 {"seconds",
                  {{"pose", view.pose_s},
                   {"stereo", view.stereo_s},
                   {"merge", view.merge_s},
                   {"write", view.write_s}}},
                 {"warnings", view.warnings}});
+}
+
+void App::OnQualityChanged(int level, int backlog) {
+  {
+    std::lock_guard lock(mutex_);
+    if (level > views_.quality_level) {
+      spdlog::warn("views: {} positions wait: quality level {} of {} from now on ({})", backlog,
+                   level, kMaxQualityLevel, DescribeQuality(level));
+    } else {
+      spdlog::info("views: {} positions wait: quality level {} of {} from now on ({})", backlog,
+                   level, kMaxQualityLevel, DescribeQuality(level));
+    }
+    views_.quality_level = level;
+  }
+  hub_.Publish({{"event", "quality"},
+                {"level", level},
+                {"meaning", DescribeQuality(level)},
+                {"waiting", backlog}});
 }
 
 Status App::FinishViews(SessionProcessor* processor) {
@@ -275,6 +294,9 @@ Status App::RunPipeline(std::stop_token stop, Stage& self) {
       ProcessorCallbacks callbacks;
       callbacks.view_done = [this](const ViewDone& view) { OnViewDone(view); };
       callbacks.warning = [](const std::string& message) { spdlog::warn("{}", message); };
+      callbacks.quality_changed = [this](int level, int backlog) {
+        OnQualityChanged(level, backlog);
+      };
       auto opened = parts_.open_pipeline(session->directory, std::move(callbacks));
       if (!opened) {
         failed(opened.error());

@@ -10,6 +10,7 @@
 #include "core/base/result.h"
 #include "core/base/units.h"
 #include "core/pipeline/options.h"
+#include "core/pipeline/quality.h"
 #include "core/session/session.h"
 
 namespace omnihdr {
@@ -122,6 +123,7 @@ struct LogConfig {
 struct PipelineConfig {
   bool enabled = true;
   int workers = 0;  // 0 = as many as there are processors
+  OverloadOptions overload;
   PipelineOptions options;
 };
 

@@ -402,6 +402,10 @@ std::vector<ConfigKey> MakeKeys() {
              std::vector{ProcessMode::kAuto, ProcessMode::kSpatiotemporal, ProcessMode::kTemporal},
              OMNIHDR_MEMBER(pipeline.options.mode)));
   add(Whole("pipeline.workers", "a whole number", 0, 256, OMNIHDR_MEMBER(pipeline.workers)));
+  add(Choice("pipeline.overload", std::vector{Overload::kBacklog, Overload::kDegrade},
+             OMNIHDR_MEMBER(pipeline.overload.overload)));
+  add(Whole("pipeline.backlog_limit", "positions", 2, 10000,
+            OMNIHDR_MEMBER(pipeline.overload.backlog_limit)));
 
   add(Path("input.mask", "an image file or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(pipeline.options.mask_file)));

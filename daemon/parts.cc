@@ -120,9 +120,11 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
     }
   }
   if (config.pipeline.enabled) {
-    parts.open_pipeline = [options = config.pipeline.options](const std::filesystem::path& session,
-                                                              ProcessorCallbacks callbacks) {
-      return SessionProcessor::Open(session, {}, options, std::move(callbacks));
+    ProcessorOptions how;
+    how.overload = config.pipeline.overload;
+    parts.open_pipeline = [options = config.pipeline.options, how](
+                              const std::filesystem::path& session, ProcessorCallbacks callbacks) {
+      return SessionProcessor::Open(session, {}, options, std::move(callbacks), how);
     };
   }
   return parts;

@@ -26,6 +26,10 @@ namespace {
 
 using FramesByPosition = std::map<std::int64_t, std::vector<FrameRecord>>;
 
+// An upgrade goes on from a saved state rather than through so many positions: more than a restored
+// pipeline and its poses' window need again.
+constexpr std::ptrdiff_t kWorthSkipping = 3 * ViewPipeline::kWarmUpPositions;
+
 double SecondsSince(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
@@ -51,12 +55,14 @@ class SessionProcessorImpl final : public SessionProcessor {
  public:
   SessionProcessorImpl(std::filesystem::path session, std::filesystem::path output,
                        const PipelineOptions& options, ProcessorCallbacks callbacks,
-                       SessionInfo info)
+                       const ProcessorOptions& how, SessionInfo info)
       : session_(std::move(session)),
         output_(std::move(output)),
         views_(output_ / "views"),
         options_(options),
         callbacks_(std::move(callbacks)),
+        how_(how),
+        governor_(how.overload),
         info_(std::move(info)),
         follower_(session_) {}
 
@@ -90,10 +96,16 @@ class SessionProcessorImpl final : public SessionProcessor {
       return Fail(ErrorKind::kCannotCreate, "{}: {}", views_.string(), error.message());
     }
     OMNIHDR_TRY(RemoveTemporaryViews(views_));
-    OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views_));
-    for (const PositionId position : complete) complete_.insert(Value(position));
+    OMNIHDR_ASSIGN(const auto complete, CompleteViewLevels(views_));
+    for (const auto& [position, level] : complete) {
+      complete_.insert(Value(position));
+      if (level > 0) reduced_.insert(Value(position));
+    }
     OMNIHDR_ASSIGN(made_with_, MadeWith(options_, session_));
-    if (const std::string otherwise = OtherwiseMade(views_, made_with_); !otherwise.empty()) {
+    if (how_.upgrade) {
+      OMNIHDR_TRY(CheckUpgradable());
+    } else if (const std::string otherwise = OtherwiseMade(views_, made_with_);
+               !otherwise.empty()) {
       Warn(otherwise);
     }
     if (!is_temporal_) {
@@ -118,6 +130,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       if (progress == Progress::kNothingNew) break;
     }
     if (const std::optional<std::string> torn = follower_.TornTail()) Warn(*torn);
+    if (governor_.level() > 0 && callbacks_.quality_changed) callbacks_.quality_changed(0, 0);
+    governor_.Reset();
     if (pipeline_ != nullptr) {
       for (FinishedView& view : pipeline_->Finish(WantView())) Enqueue(std::move(view), 0.0);
       references_.clear();
@@ -128,7 +142,9 @@ class SessionProcessorImpl final : public SessionProcessor {
   Counts counts() const override {
     Counts c = counts_;
     c.views_complete = static_cast<int>(complete_.size());
+    c.views_reduced = static_cast<int>(reduced_.size());
     c.backlog = static_cast<int>(pending_.size());
+    c.quality_level = governor_.level();
     return c;
   }
 
@@ -144,8 +160,40 @@ class SessionProcessorImpl final : public SessionProcessor {
     if (callbacks_.warning) callbacks_.warning(message);
   }
 
+  bool IsWanted(std::int64_t position) const {
+    return how_.upgrade ? reduced_.contains(position) : !complete_.contains(position);
+  }
   ViewPipeline::WantView WantView() const {
-    return [this](PositionId position) { return !complete_.contains(Value(position)); };
+    return [this](PositionId position) { return IsWanted(Value(position)); };
+  }
+
+  // Views made with something else are not brought to full quality but become others.
+  Status CheckUpgradable() const {
+    for (const std::int64_t position : reduced_) {
+      OMNIHDR_ASSIGN(const ViewRecord record, ReadViewRecord(views_, PositionId{position}));
+      if (record.made_with == made_with_) continue;
+      return Fail(ErrorKind::kConfig,
+                  "{}: made with other options, another mask or another rig than now (made_with "
+                  "\"{}\", now \"{}\"): upgrade with the configuration it was made with",
+                  (views_ / ViewDirectoryName(record.position)).string(), record.made_with,
+                  made_with_);
+    }
+    return {};
+  }
+
+  // The level for the view that the next push finishes.
+  int NextQualityLevel() {
+    int waiting = 0;
+    for (const auto& [position, frames] : pending_) {
+      if (!complete_.contains(position)) ++waiting;
+      if (waiting > how_.overload.backlog_limit) break;
+    }
+    const int before = governor_.level();
+    const int level = governor_.Next(std::max(0, waiting - 1));
+    if (level != before && callbacks_.quality_changed) {
+      callbacks_.quality_changed(level, static_cast<int>(pending_.size()) - 1);
+    }
+    return level;
   }
 
   Status ReadJournal() {
@@ -194,12 +242,17 @@ class SessionProcessorImpl final : public SessionProcessor {
 
   Status ProcessPosition(std::int64_t position) {
     if (is_temporal_) {
-      if (!complete_.contains(position)) OMNIHDR_TRY(ProcessTemporal(position));
+      if (IsWanted(position)) OMNIHDR_TRY(ProcessTemporal(position));
       Take(position);
       return {};
     }
-    if (!started_) OMNIHDR_TRY(Start());
+    if (!started_) {
+      OMNIHDR_TRY(Start());
+    } else if (how_.upgrade) {
+      SkipUnwanted();
+    }
     if (!pending_.contains(position)) return {};  // skipped: already done
+    const int quality_level = NextQualityLevel();
     std::optional<LoadedPosition> loaded = Load(pending_.at(position), true);
     Take(position);
     if (!loaded) return {};
@@ -213,7 +266,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     input.reference = loaded->reference.frame;
     input.odometer_m = loaded->reference.odometer_m;
     input.prior = loaded->reference.pose;
-    std::optional<FinishedView> finished = pipeline_->Push(std::move(input), WantView());
+    std::optional<FinishedView> finished =
+        pipeline_->Push(std::move(input), WantView(), quality_level);
     if (finished) {
       Enqueue(std::move(*finished), pipeline_->last_pose_s());
       return WriteWaiting();
@@ -230,6 +284,23 @@ class SessionProcessorImpl final : public SessionProcessor {
   // through as far as the first missing view depends on them.
   Status Start() {
     started_ = true;
+    const std::vector<std::int64_t> positions = UsablePositions();
+    const auto missing = std::find_if(positions.begin(), positions.end(),
+                                      [this](std::int64_t p) { return IsWanted(p); });
+    if (missing == positions.begin()) return {};
+    for (const std::int64_t p : positions) {
+      if (complete_.contains(p) && !IsWanted(p)) Tell(p);
+    }
+    if (missing == positions.end() && (at_end_ || how_.upgrade)) {
+      pending_.clear();
+      return {};
+    }
+    ContinueBefore(positions, missing - positions.begin());
+    return {};
+  }
+
+  // Of those pending, the positions whose frames claim pixels.
+  std::vector<std::int64_t> UsablePositions() const {
     std::vector<std::int64_t> positions;
     for (const auto& [position, frames] : pending_) {
       const bool usable = std::any_of(frames.begin(), frames.end(), [](const FrameRecord& f) {
@@ -237,17 +308,35 @@ class SessionProcessorImpl final : public SessionProcessor {
       });
       if (usable) positions.push_back(position);
     }
+    return positions;
+  }
+
+  // An upgrade between two of its views: what lies far before the next one is not gone through.
+  void SkipUnwanted() {
+    for (const auto& [position, context] : references_) {
+      if (IsWanted(position)) return;  // still inside the pipeline
+    }
+    const std::vector<std::int64_t> positions = UsablePositions();
     const auto missing = std::find_if(positions.begin(), positions.end(),
-                                      [this](std::int64_t p) { return !complete_.contains(p); });
-    if (missing == positions.begin()) return {};
-    for (const std::int64_t p : positions) {
-      if (complete_.contains(p)) Tell(p);
-    }
-    if (missing == positions.end() && at_end_) {
+                                      [this](std::int64_t p) { return IsWanted(p); });
+    const bool none = missing == positions.end();
+    if (!none && missing - positions.begin() < kWorthSkipping) return;
+    Result<std::unique_ptr<ViewPipeline>> fresh = ViewPipeline::Create(options_);
+    if (!fresh) return;
+    std::swap(pipeline_, *fresh);
+    if (none) {
       pending_.clear();
-      return {};
+    } else if (!ContinueBefore(positions, missing - positions.begin())) {
+      std::swap(pipeline_, *fresh);
+      return;
     }
-    const auto missing_index = missing - positions.begin();
+    references_.clear();
+  }
+
+  // Puts the pipeline, fresh, into a saved state from which everything the view of
+  // positions[missing_index] depends on is made again. False, and a fresh pipeline, when there is
+  // none.
+  bool ContinueBefore(const std::vector<std::int64_t>& positions, std::ptrdiff_t missing_index) {
     // The latest state from which everything the missing view depends on is made again.
     const std::ptrdiff_t latest = missing_index - 1 - ViewPipeline::kWarmUpPositions;
     for (std::ptrdiff_t k = latest; k >= 0; --k) {
@@ -265,9 +354,9 @@ class SessionProcessorImpl final : public SessionProcessor {
       if (!RestoreAt(record->resume_json)) break;  // state of another version: from the beginning
       pending_.erase(pending_.begin(), pending_.upper_bound(after));
       last_taken_ = after;
-      return {};
+      return true;
     }
-    return {};
+    return false;
   }
 
   bool RestoreAt(const std::string& resume_json) {
@@ -458,6 +547,7 @@ class SessionProcessorImpl final : public SessionProcessor {
       waiting.done.pose_s = pose_s;
       waiting.done.stereo_s = view.stereo_s;
       waiting.done.merge_s = view.merge_s;
+      waiting.done.quality_level = view.quality_level;
       view.warnings.insert(view.warnings.end(), waiting.context.notes.begin(),
                            waiting.context.notes.end());
       waiting.done.warnings = view.warnings;
@@ -472,7 +562,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     while (!waiting_.empty()) {
       Waiting& waiting = waiting_.front();
       const auto start = std::chrono::steady_clock::now();
-      Status written = WriteView(views_, waiting.done.position, false,
+      Status written = WriteView(views_, waiting.done.position, how_.upgrade,
                                  [&waiting](const std::filesystem::path& directory) -> Status {
                                    if (waiting.temporal) {
                                      return WriteTemporalViewFiles(directory, *waiting.temporal,
@@ -485,6 +575,11 @@ class SessionProcessorImpl final : public SessionProcessor {
       }
       waiting.done.write_s = SecondsSince(start);
       complete_.insert(Value(waiting.done.position));
+      if (waiting.done.quality_level > 0) {
+        reduced_.insert(Value(waiting.done.position));
+      } else {
+        reduced_.erase(Value(waiting.done.position));
+      }
       told_.insert(Value(waiting.done.position));
       ++counts_.views_written;
       AppendTiming(waiting.done);
@@ -513,6 +608,8 @@ class SessionProcessorImpl final : public SessionProcessor {
   const std::filesystem::path views_;
   const PipelineOptions options_;
   const ProcessorCallbacks callbacks_;
+  const ProcessorOptions how_;
+  QualityGovernor governor_;
   const SessionInfo info_;
   JournalFollower follower_;
   bool is_temporal_ = false;
@@ -527,6 +624,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   std::map<std::int64_t, ViewContext> references_;  // of positions inside the pipeline
   std::string made_with_;
   std::set<std::int64_t> complete_;
+  std::set<std::int64_t> reduced_;  // of those, the ones with a quality level above 0
   std::set<std::int64_t> told_;
   std::deque<Waiting> waiting_;
   std::size_t warnings_told_ = 0;
@@ -537,13 +635,15 @@ class SessionProcessorImpl final : public SessionProcessor {
 
 Result<std::unique_ptr<SessionProcessor>> SessionProcessor::Open(
     const std::filesystem::path& session, const std::filesystem::path& output,
-    const PipelineOptions& options, ProcessorCallbacks callbacks) {
+    const PipelineOptions& options, ProcessorCallbacks callbacks, const ProcessorOptions& how) {
   OMNIHDR_TRY(options.Validate());
+  OMNIHDR_TRY(how.overload.Validate());
   const std::filesystem::path info_path = session / "session.json";
   OMNIHDR_ASSIGN(const std::string text, ReadTextFile(info_path));
   OMNIHDR_ASSIGN(SessionInfo info, ParseSessionInfo(text, info_path.string()));
-  auto processor = std::make_unique<SessionProcessorImpl>(
-      session, output.empty() ? session : output, options, std::move(callbacks), std::move(info));
+  auto processor =
+      std::make_unique<SessionProcessorImpl>(session, output.empty() ? session : output, options,
+                                             std::move(callbacks), how, std::move(info));
   OMNIHDR_TRY(processor->Prepare());
   return processor;
 }

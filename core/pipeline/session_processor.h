@@ -8,6 +8,7 @@
 
 #include "core/base/result.h"
 #include "core/pipeline/options.h"
+#include "core/pipeline/quality.h"
 #include "core/session/session.h"
 
 namespace omnihdr {
@@ -19,12 +20,25 @@ struct ViewDone {
   double stereo_s = 0.0;
   double merge_s = 0.0;
   double write_s = 0.0;
+  int quality_level = 0;  // 0 = full
   std::vector<std::string> warnings;
 };
 
 struct ProcessorCallbacks {
   std::function<void(const ViewDone&)> view_done;           // may be empty
   std::function<void(const std::string& message)> warning;  // may be empty
+  // The level from now on, and how many positions wait; may be empty.
+  std::function<void(int quality_level, int backlog)> quality_changed;
+};
+
+// How a session is gone through; none of it decides what a view of a given quality level looks
+// like.
+struct ProcessorOptions {
+  OverloadOptions overload;  // spatiotemporal mode; a temporal merge is always in full
+  // Makes the complete views anew that are of reduced quality, and no others: each gets the bytes
+  // of a run that was never overloaded, in one rename. Ending midway loses nothing; the next
+  // upgrade goes on.
+  bool upgrade = false;
 };
 
 // Turns a session directory into views, position by position, whoever is (or is not any more)
@@ -35,15 +49,19 @@ struct ProcessorCallbacks {
 // a line whose position lies before the newest one's, and one beyond the session's
 // frames_per_position (1 unless session.json says otherwise), are told of and not used. In temporal
 // mode, unless that number is given, a position is open until the next one begins. View i is
-// complete when position i+2 has been pushed, or at Finish. Not thread-safe; uses the worker pool
-// inside.
+// complete when position i+2 has been pushed, or at Finish. Views of reduced quality (overload =
+// degrade) say so in view.json; which those are follows from how fast positions came, and nothing
+// else does. Not thread-safe; uses the worker pool inside.
 class SessionProcessor {
  public:
   // `output` is the directory that gets views/ (the session itself by default, when empty).
+  // An upgrade's own error (kConfig): the views to be made anew were made with other options,
+  // another mask or another rig than now.
   static Result<std::unique_ptr<SessionProcessor>> Open(const std::filesystem::path& session,
                                                         const std::filesystem::path& output,
                                                         const PipelineOptions& options,
-                                                        ProcessorCallbacks callbacks);
+                                                        ProcessorCallbacks callbacks,
+                                                        const ProcessorOptions& how = {});
   virtual ~SessionProcessor() = default;
 
   enum class Progress { kNothingNew, kWorked };
@@ -59,7 +77,9 @@ class SessionProcessor {
     int positions_without_pixels = 0;
     int views_complete = 0;  // on disk, those found at Open included
     int views_written = 0;   // by this object
+    int views_reduced = 0;   // of those complete, with a quality level above 0
     int backlog = 0;         // positions journaled but not yet pushed
+    int quality_level = 0;   // of the next view
   };
   virtual Counts counts() const = 0;
 };

@@ -13,6 +13,7 @@
 #include "core/image/image_io.h"
 #include "core/photometry/clipped.h"
 #include "core/photometry/tonemap.h"
+#include "core/pipeline/quality.h"
 
 namespace omnihdr {
 namespace {
@@ -192,6 +193,8 @@ ViewRecord RecordOfView(const FinishedView& view, const std::string& mode) {
   record.reference = Value(view.reference);
   record.mode = mode;
   record.warnings = view.warnings;
+  record.quality_level = view.quality_level;
+  record.quality = DescribeQuality(view.quality_level);
   record.resume_json = view.resume_json;
   return record;
 }
@@ -211,6 +214,7 @@ Status WriteTemporalViewFiles(const std::filesystem::path& directory, const Temp
   record.reference = Value(view.reference);
   record.mode = context.mode;
   record.warnings = view.warnings;
+  record.quality = DescribeQuality(0);
   record.made_with = context.made_with;
   return WritePictures(directory, view.merged, view.position, view.is_latlong, false, context,
                        &record);

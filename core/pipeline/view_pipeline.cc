@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "core/pipeline/quality.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/pairwise_costs.h"
 #include "core/stereo/stability.h"
@@ -37,6 +38,26 @@ Eigen::Vector3d OffsetInWorld(const Pose& from, const Pose& to) {
   return to.translation - from.translation;
 }
 
+// A map on a grid of another width, each pixel the nearest one's value: blends of near and far
+// would be surfaces that are not there.
+DisparityMap OnGrid(const DisparityMap& map, int width) {
+  const int from_width = map.disparity.width();
+  const int from_height = map.disparity.height();
+  const int height = width / 2;
+  DisparityMap out;
+  out.disparity = Image<float>(width, height);
+  out.confidence = Image<float>(width, height);
+  for (int y = 0; y < height; ++y) {
+    const int from_y = std::min((2 * y + 1) * from_height / (2 * height), from_height - 1);
+    for (int x = 0; x < width; ++x) {
+      const int from_x = std::min((2 * x + 1) * from_width / (2 * width), from_width - 1);
+      out.disparity.at(x, y) = map.disparity.at(from_x, from_y);
+      out.confidence.at(x, y) = map.confidence.at(from_x, from_y);
+    }
+  }
+  return out;
+}
+
 }  // namespace
 
 Result<std::unique_ptr<ViewPipeline>> ViewPipeline::Create(const PipelineOptions& options) {
@@ -61,7 +82,10 @@ void ViewPipeline::ExtendScale(const Measurement& m) {
   const LogScale scale = LogScale::For(lowest_floor_, brightest_);
   if (scale == scale_) return;
   scale_ = scale;
-  for (Slot& slot : slots_) slot.stereo_view = slot.coarse_view = StereoView{};
+  for (Slot& slot : slots_) {
+    slot.stereo_view = slot.coarse_view = StereoView{};
+    slot.stereo_view_rotation.reset();
+  }
 }
 
 void ViewPipeline::UpdatePoses() {
@@ -72,21 +96,30 @@ void ViewPipeline::UpdatePoses() {
   }
 }
 
-const StereoView& ViewPipeline::StereoViewOf(std::size_t index) {
+void ViewPipeline::FixRotation(std::size_t index) {
   Slot& slot = slots_[index];
   const Eigen::Quaterniond& rotation = slot.pose.world_from_camera.rotation;
-  if (slot.stereo_view.width == 0 ||
-      slot.stereo_view_rotation.angularDistance(rotation) > kStaleRotation) {
+  if (slot.stereo_view_rotation &&
+      slot.stereo_view_rotation->angularDistance(rotation) <= kStaleRotation) {
+    return;
+  }
+  slot.stereo_view_rotation = rotation;
+  slot.stereo_view = slot.coarse_view = StereoView{};
+}
+
+const StereoView& ViewPipeline::StereoViewOf(std::size_t index, int width) {
+  FixRotation(index);
+  Slot& slot = slots_[index];
+  if (slot.stereo_view.width != 2 * width) {
     slot.stereo_view =
-        MakeStereoView(slot.input.measurement, rotation, 2 * options_.stereo_width, scale_);
-    slot.stereo_view_rotation = rotation;
+        MakeStereoView(slot.input.measurement, *slot.stereo_view_rotation, 2 * width, scale_);
     slot.coarse_view = StereoView{};
   }
   return slot.stereo_view;
 }
 
-const StereoView& ViewPipeline::CoarseViewOf(std::size_t index) {
-  const StereoView& view = StereoViewOf(index);
+const StereoView& ViewPipeline::CoarseViewOf(std::size_t index, int width) {
+  const StereoView& view = StereoViewOf(index, width);
   Slot& slot = slots_[index];
   if (slot.coarse_view.width == 0) slot.coarse_view = HalveStereoView(view);
   return slot.coarse_view;
@@ -121,37 +154,9 @@ double ViewPipeline::SearchLimit(std::size_t index,
   return nearest > 0.0 ? std::min(limit, 1.6 * nearest) : limit;
 }
 
-std::vector<SweepNeighbour> ViewPipeline::SweepNeighbours(
-    std::size_t index, const std::vector<std::size_t>& neighbours, bool coarse) {
-  std::vector<SweepNeighbour> swept;
-  for (const std::size_t n : neighbours) {
-    swept.push_back(
-        {coarse ? &CoarseViewOf(n) : &StereoViewOf(n),
-         OffsetInWorld(slots_[index].pose.world_from_camera, slots_[n].pose.world_from_camera)
-             .cast<float>()});
-  }
-  return swept;
-}
-
-std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
-                                                   const std::vector<std::size_t>& neighbours,
-                                                   const SweepOptions& sweep) {
-  std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
-  if (guide == nullptr) {
-    SweepOptions coarse = sweep;
-    coarse.labels = std::max(kLeastCoarseLabels, sweep.labels / 2);
-    const StereoView& reference = CoarseViewOf(index);
-    const CostVolume volume =
-        MatchingCosts(options_.cost, reference, SweepNeighbours(index, neighbours, true), coarse);
-    guide = std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
-  }
-  return RangesAround(*guide, options_.stereo_width, options_.stereo_width / 2, sweep.labels,
-                      sweep.max_disparity, RangeOptions{});
-}
-
-std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
+std::vector<std::size_t> ViewPipeline::MatchPartners(std::size_t index, int reach) const {
   const Pose& pose = slots_[index].pose.world_from_camera;
-  std::vector<std::size_t> indices = Neighbours(index, options_.neighbours);
+  std::vector<std::size_t> indices = Neighbours(index, reach);
   double largest = 0.0;
   for (const std::size_t n : indices) {
     largest = std::max(largest, OffsetInWorld(pose, slots_[n].pose.world_from_camera).norm());
@@ -160,31 +165,82 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index) {
     const double baseline = OffsetInWorld(pose, slots_[n].pose.world_from_camera).norm();
     return baseline == 0.0 || baseline < 0.05 * largest;
   });
+  return indices;
+}
+
+std::vector<SweepNeighbour> ViewPipeline::SweepNeighbours(
+    std::size_t index, const std::vector<std::size_t>& neighbours, int width, bool coarse) {
+  std::vector<SweepNeighbour> swept;
+  for (const std::size_t n : neighbours) {
+    swept.push_back(
+        {coarse ? &CoarseViewOf(n, width) : &StereoViewOf(n, width),
+         OffsetInWorld(slots_[index].pose.world_from_camera, slots_[n].pose.world_from_camera)
+             .cast<float>()});
+  }
+  return swept;
+}
+
+std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
+                                                   const std::vector<std::size_t>& neighbours,
+                                                   const PipelineOptions& options,
+                                                   const SweepOptions& sweep) {
+  const int width = options.stereo_width;
+  std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
+  if (guide == nullptr || guide->disparity.width() != width) {
+    SweepOptions coarse = sweep;
+    coarse.labels = std::max(kLeastCoarseLabels, sweep.labels / 2);
+    const StereoView& reference = CoarseViewOf(index, width);
+    const CostVolume volume = MatchingCosts(
+        options_.cost, reference, SweepNeighbours(index, neighbours, width, true), coarse);
+    guide = std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
+  }
+  return RangesAround(*guide, width, width / 2, sweep.labels, sweep.max_disparity, RangeOptions{});
+}
+
+std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index,
+                                                      const PipelineOptions& options) {
+  std::vector<std::size_t> indices = MatchPartners(index, options_.neighbours);
   if (indices.empty()) return nullptr;
+  // The same at every quality level, or later views would differ.
+  FixRotation(index);
+  for (const std::size_t n : indices) FixRotation(n);
+  if (options.neighbours < options_.neighbours) {
+    // At a reduced level only the nearest ones, unless they stand at the same place.
+    const std::vector<std::size_t> nearest = MatchPartners(index, options.neighbours);
+    if (!nearest.empty()) indices = nearest;
+  }
   SweepOptions sweep;
-  sweep.labels = options_.labels;
+  sweep.labels = options.labels;
   sweep.max_disparity = SearchLimit(index, indices);
   if (options_.search == StereoSearch::kRanges) {
-    sweep.ranges = SearchRanges(index, indices, sweep);
+    sweep.ranges = SearchRanges(index, indices, options, sweep);
   }
-  const StereoView& reference = StereoViewOf(index);
+  const StereoView& reference = StereoViewOf(index, options.stereo_width);
   const CostVolume volume =
-      MatchingCosts(options_.cost, reference, SweepNeighbours(index, indices, false), sweep);
+      MatchingCosts(options_.cost, reference,
+                    SweepNeighbours(index, indices, options.stereo_width, false), sweep);
   return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
 }
 
-DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t>& brightness) {
+DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t>& brightness,
+                                     const PipelineOptions& options, int* level) {
   const Slot& slot = slots_[index];
   std::vector<NeighbourMap> maps;
-  for (const std::size_t n : Neighbours(index, options_.neighbours)) {
-    const DisparityMap* map = (n == index + 1 ? slots_[n].ahead : slots_[n].raw).get();
+  std::deque<DisparityMap> resized;  // of neighbours that were matched at another quality level
+  const std::vector<std::size_t> neighbours = Neighbours(index, options.neighbours);
+  for (const std::size_t n : neighbours) {
+    const bool is_ahead = n == index + 1;
+    const DisparityMap* map = (is_ahead ? slots_[n].ahead : slots_[n].raw).get();
     if (map == nullptr) continue;
+    *level = std::max(*level, is_ahead ? slots_[n].ahead_level : slots_[n].raw_level);
+    if (map->disparity.width() != slot.raw->disparity.width()) {
+      map = &resized.emplace_back(OnGrid(*map, slot.raw->disparity.width()));
+    }
     maps.push_back(
         {map, OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera)
                   .cast<float>()});
   }
-  const double tolerance =
-      1.5 * SearchLimit(index, Neighbours(index, options_.neighbours)) / (options_.labels - 1);
+  const double tolerance = 1.5 * SearchLimit(index, neighbours) / (options.labels - 1);
   DisparityMap fused;
   switch (options_.fusion) {
     case StereoFusion::kVotes: {
@@ -214,33 +270,48 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
   return fused;
 }
 
-FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
+FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, int quality_level) {
   Slot& slot = slots_[index];
   FinishedView view;
   view.pose = slot.pose;
   view.reference = slot.input.reference;
   view.frames = slot.input.frames;
   view.made = want(slot.input.position);
+  // A view that is not made costs nothing more: its map serves the next ones in full.
+  const int level = view.made ? quality_level : 0;
+  view.quality_level = level;
+  const PipelineOptions options = AtQuality(options_, level);
 
   const Stopwatch stereo_time;
-  slot.raw = MatchSlot(index);
+  // What guides the search must not be of another level: without it a coarser match does.
+  const int guide_level = slot.ahead_level;
+  if (guide_level != level) slot.ahead.reset();
+  slot.raw = MatchSlot(index, options);
   slot.ahead.reset();
+  slot.raw_level = level;
+  if (options_.search == StereoSearch::kRanges) {
+    slot.raw_level = std::max(level, guide_level);
+    if (view.made) view.quality_level = slot.raw_level;
+  }
   if (slot.raw != nullptr) {
     // Stereo views are made when first needed, with the pose of that moment: needed must not depend
     // on whether this view is wanted, or a resumed run would differ.
-    for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) StereoViewOf(n);
+    for (const std::size_t n : Neighbours(index, static_cast<int>(kLookahead))) FixRotation(n);
     // Provisional: its own later neighbours are not there yet. It guides the search of the next
     // view, so that it must not depend on whether this one is wanted either.
     const std::vector<std::size_t> next = Neighbours(index, 1);
     if ((view.made || options_.search == StereoSearch::kRanges) &&
         std::find(next.begin(), next.end(), index + 1) != next.end()) {
-      slots_[index + 1].ahead = MatchSlot(index + 1);
+      Slot& following = slots_[index + 1];
+      following.ahead = MatchSlot(index + 1, options);
+      following.ahead_level = level;
     }
   }
   Image<std::uint8_t> brightness;
   if (slot.raw != nullptr && view.made) {
-    brightness = MapBrightness(StereoViewOf(index));
-    slot.fused = std::make_shared<DisparityMap>(RefineMap(index, brightness));
+    brightness = MapBrightness(StereoViewOf(index, options.stereo_width));
+    slot.fused =
+        std::make_shared<DisparityMap>(RefineMap(index, brightness, options, &view.quality_level));
   }
   view.stereo_s = stereo_time.Seconds();
 
@@ -292,7 +363,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want) {
   return view;
 }
 
-std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantView& want) {
+std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantView& want,
+                                               int quality_level) {
   const Stopwatch pose_time;
   tracker_->Push(input.position, input.measurement, input.odometer_m, input.prior);
   last_pose_s_ = pose_time.Seconds();
@@ -305,7 +377,7 @@ std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantVi
 
   std::optional<FinishedView> finished;
   if (slots_.size() - next_unfinished_ > kLookahead) {
-    finished = FinishSlot(next_unfinished_, want);
+    finished = FinishSlot(next_unfinished_, want, quality_level);
     finished->resume_json = SaveState(position);
     ++next_unfinished_;
   }
@@ -322,7 +394,7 @@ std::vector<FinishedView> ViewPipeline::Finish(const WantView& want) {
   if (!slots_.empty()) {
     const PositionId last = slots_.back().input.position;
     while (next_unfinished_ < slots_.size()) {
-      finished.push_back(FinishSlot(next_unfinished_, want));
+      finished.push_back(FinishSlot(next_unfinished_, want, 0));
       finished.back().resume_json = SaveState(last);
       ++next_unfinished_;
     }

@@ -37,6 +37,8 @@ struct FinishedView {
   FrameId reference{};
   MergedView merged;
   bool made = false;  // false: only the bookkeeping was done, on request (see Push)
+  // Of the most reduced disparity map that took part (core/pipeline/quality.h); 0 = full.
+  int quality_level = 0;
   Eigen::Quaterniond camera_from_output = Eigen::Quaterniond::Identity();
   std::vector<std::string> warnings;
   std::string resume_json;  // see SaveState
@@ -48,7 +50,8 @@ struct FinishedView {
 // positions and their maps. View i is finished when position i+2 is pushed, or by Finish.
 // Deterministic: the same inputs give the same views to the last bit, on any number of cores, and a
 // pipeline restored from resume_json and pushed the following positions goes on as if it had never
-// stopped. Not thread-safe.
+// stopped. A view whose quality_level is 0 has the same bytes whatever the levels of the views
+// around it. Not thread-safe.
 class ViewPipeline {
  public:
   static Result<std::unique_ptr<ViewPipeline>> Create(const PipelineOptions& options);
@@ -59,11 +62,13 @@ class ViewPipeline {
   // Positions whose measurements Restore needs again (the pose tracker's window), at most.
   std::vector<PositionId> RestorePositions() const;
 
-  // `make_view` tells whether the view that this push finishes is wanted (already on disk:
-  // bookkeeping only). Returns the finished view, if this push finished one.
+  // `want` tells whether the view that this push finishes is wanted (already on disk: bookkeeping
+  // only), `quality_level` how much work it may cost. Returns the finished view, if this push
+  // finished one.
   using WantView = std::function<bool(PositionId)>;
-  std::optional<FinishedView> Push(PositionInput input, const WantView& want);
-  // The views still waiting, in order. Afterwards the pipeline is empty.
+  std::optional<FinishedView> Push(PositionInput input, const WantView& want,
+                                   int quality_level = 0);
+  // The views still waiting, in order, in full quality. Afterwards the pipeline is empty.
   std::vector<FinishedView> Finish(const WantView& want);
 
   // Continues after the step that gave a view's resume_json.
@@ -76,33 +81,43 @@ class ViewPipeline {
   struct Slot {
     PositionInput input;
     PoseEstimate pose;
-    StereoView stereo_view;                   // empty until needed
-    StereoView coarse_view;                   // the same at half the size; empty until needed
-    Eigen::Quaterniond stereo_view_rotation;  // world_from_camera it was made with
-    std::shared_ptr<DisparityMap> ahead;      // matched before its last neighbour was there
-    std::shared_ptr<DisparityMap> raw;        // matched with every neighbour it will ever have
+    StereoView stereo_view;  // empty until needed, of one width at a time
+    StereoView coarse_view;  // the same at half the size; empty until needed
+    // world_from_camera it is made with at any width; none until it is first needed.
+    std::optional<Eigen::Quaterniond> stereo_view_rotation;
+    std::shared_ptr<DisparityMap> ahead;  // matched before its last neighbour was there
+    int ahead_level = 0;                  // quality level of that
+    std::shared_ptr<DisparityMap> raw;    // matched with every neighbour it will ever have
+    int raw_level = 0;                    // highest quality level of what went into that
     std::shared_ptr<DisparityMap> fused;
   };
   explicit ViewPipeline(const PipelineOptions& options) : options_(options) {}
   void UpdatePoses();
   void ExtendScale(const Measurement& measurement);
-  const StereoView& StereoViewOf(std::size_t index);
-  const StereoView& CoarseViewOf(std::size_t index);
-  FinishedView FinishSlot(std::size_t index, const WantView& want);
+  // Decides which rotation the slot's stereo view is made with from now on.
+  void FixRotation(std::size_t index);
+  // `width` of the map's grid, as options.stereo_width.
+  const StereoView& StereoViewOf(std::size_t index, int width);
+  const StereoView& CoarseViewOf(std::size_t index, int width);
+  FinishedView FinishSlot(std::size_t index, const WantView& want, int quality_level);
   // Slots within `reach` of `index`, on its chain, at another place; nearest first.
   std::vector<std::size_t> Neighbours(std::size_t index, int reach) const;
-  // Null when the slot has no neighbour with a baseline.
-  std::shared_ptr<DisparityMap> MatchSlot(std::size_t index);
+  // Those of Neighbours that a slot can be matched with: with a baseline worth it.
+  std::vector<std::size_t> MatchPartners(std::size_t index, int reach) const;
+  // Null when the slot has no neighbour with a baseline. `options`: those of the quality level.
+  std::shared_ptr<DisparityMap> MatchSlot(std::size_t index, const PipelineOptions& options);
   // The labels in question at the slot: around what it was matched to before, or else around what
   // a match at half the size with the neighbours given finds.
   std::vector<LabelRange> SearchRanges(std::size_t index,
                                        const std::vector<std::size_t>& neighbours,
-                                       const SweepOptions& sweep);
+                                       const PipelineOptions& options, const SweepOptions& sweep);
   std::vector<SweepNeighbour> SweepNeighbours(std::size_t index,
-                                              const std::vector<std::size_t>& neighbours,
+                                              const std::vector<std::size_t>& neighbours, int width,
                                               bool coarse);
   // The slot's map with its neighbours' help, by the methods chosen: fused, filtered, filled.
-  DisparityMap RefineMap(std::size_t index, const Image<std::uint8_t>& brightness);
+  // Raises `level` to that of the neighbours' maps used.
+  DisparityMap RefineMap(std::size_t index, const Image<std::uint8_t>& brightness,
+                         const PipelineOptions& options, int* level);
   double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;
   std::string SaveState(PositionId after) const;
 

@@ -26,6 +26,7 @@ using json::ObjectReader;
 using json::ObjectWriter;
 
 constexpr std::string_view kTemporarySuffix = ".tmp";
+constexpr std::int64_t kMaxLevel = 1000;  // of quality: a later version may know more than this one
 
 fs::path TemporaryName(const fs::path& views, PositionId position) {
   return views / fmt::format(".{}{}", ViewDirectoryName(position), kTemporarySuffix);
@@ -202,6 +203,8 @@ std::string FormatViewRecord(const ViewRecord& record) {
   radiance.Add("valid_fraction", record.valid_fraction);
   view.AddObject("radiance", std::move(radiance));
   view.Add("warnings", record.warnings);
+  view.Add("quality_level", record.quality_level);
+  if (!record.quality.empty()) view.Add("quality", record.quality);
   if (!record.made_with.empty()) view.Add("made_with", record.made_with);
   if (!record.resume_json.empty()) view.AddRaw("resume", record.resume_json);
   return std::move(view).Finish();
@@ -252,6 +255,10 @@ Result<ViewRecord> ParseViewRecord(std::string_view text, const std::string& nam
       record.warnings.push_back(warning.get<std::string>());
     }
   }
+  OMNIHDR_ASSIGN(const std::int64_t level,
+                 view.IntegerOr("quality_level", 0, 0, kMaxLevel, "a whole number in [0, 1000]"));
+  record.quality_level = static_cast<int>(level);
+  OMNIHDR_ASSIGN(record.quality, view.StringOr("quality", ""));
   OMNIHDR_ASSIGN(record.made_with, view.StringOr("made_with", ""));
   if (const Json* resume = view.Find("resume")) record.resume_json = resume->dump();
   return record;
@@ -305,19 +312,28 @@ Status WriteView(const fs::path& views_directory, PositionId position, bool repl
   return std::move(done).Context(what);
 }
 
-Result<std::vector<PositionId>> CompleteViews(const fs::path& views_directory) {
-  std::vector<PositionId> positions;
+Result<std::map<PositionId, int>> CompleteViewLevels(const fs::path& views_directory) {
+  std::map<PositionId, int> levels;
   std::error_code error;
-  if (!fs::exists(views_directory, error)) return positions;
+  if (!fs::exists(views_directory, error)) return levels;
   fs::directory_iterator it(views_directory, error);
   for (const fs::directory_iterator end; !error && it != end; it.increment(error)) {
     const std::optional<PositionId> position = PositionFromName(it->path().filename().string());
-    if (position && IsComplete(views_directory, *position)) positions.push_back(*position);
+    if (!position) continue;
+    if (const Result<ViewRecord> record = ReadViewRecord(views_directory, *position)) {
+      levels.emplace(*position, record->quality_level);
+    }
   }
   if (error) {
     return Fail(ErrorKind::kNoInput, "{}: {}", views_directory.string(), error.message());
   }
-  std::sort(positions.begin(), positions.end());
+  return levels;
+}
+
+Result<std::vector<PositionId>> CompleteViews(const fs::path& views_directory) {
+  OMNIHDR_ASSIGN(const auto levels, CompleteViewLevels(views_directory));
+  std::vector<PositionId> positions;
+  for (const auto& [position, level] : levels) positions.push_back(position);
   return positions;
 }
 

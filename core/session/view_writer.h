@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,10 @@ struct ViewRecord {
   double radiance_max = 0.0;
   double valid_fraction = 0.0;
   std::vector<std::string> warnings;
+  // How much work its disparity got (core/pipeline/quality.h): 0 = full; and in words. Additive
+  // keys; a record without them is of level 0.
+  int quality_level = 0;
+  std::string quality;
   std::string made_with;  // what it was made with beside the frames (additive key); "" = not told
   // JSON object as text: what the pipeline needs to continue after this view (additive key
   // "resume").
@@ -45,6 +50,8 @@ Status WriteView(const std::filesystem::path& views_directory, PositionId positi
 std::string ViewDirectoryName(PositionId position);  // "000003"
 // Positions with a complete view (a directory with a readable view.json), ascending.
 Result<std::vector<PositionId>> CompleteViews(const std::filesystem::path& views_directory);
+// The same with each view's quality level.
+Result<std::map<PositionId, int>> CompleteViewLevels(const std::filesystem::path& views_directory);
 Result<ViewRecord> ReadViewRecord(const std::filesystem::path& views_directory,
                                   PositionId position);
 // Removes what an interrupted writer left behind; returns how many.

@@ -89,6 +89,9 @@ Json StatusToJson(const StatusReport& s) {
        {{"enabled", s.pipeline_enabled},
         {"finished", s.views_finished},
         {"backlog", s.backlog},
+        {"quality_level", s.quality_level},
+        {"quality", s.quality},
+        {"reduced", s.views_reduced},
         {"last", s.last_view ? Json(*s.last_view) : Json(nullptr)},
         {"error", Utf8(s.views_error)}}},
       {"odometer_m",
@@ -138,6 +141,11 @@ std::string StatusToMetrics(const StatusReport& s) {
         AsDouble(s.views_finished));
   m.One("omnihdr_views_backlog", "gauge", "Positions with pixels whose view is not on disk.",
         static_cast<double>(s.backlog));
+  m.One("omnihdr_views_quality_level", "gauge",
+        "How much less work than in full the next view gets, 0 = full.",
+        static_cast<double>(s.quality_level));
+  m.One("omnihdr_views_reduced", "gauge", "Views on disk of reduced quality, to be upgraded.",
+        AsDouble(s.views_reduced));
   m.One("omnihdr_buffers_free", "gauge", "Free frame buffers.", AsDouble(s.buffers_free));
   if (s.bracket_steps > 0) {
     m.One("omnihdr_next_exposure_seconds", "gauge", "Exposure of the next trigger.",
@@ -179,10 +187,16 @@ std::string StatusForPeople(const Json& s) {
   const Json& views = s.at("views");
   if (views.at("enabled").get<bool>()) {
     const std::string error = views.at("error").get<std::string>();
+    const auto reduced = views.value("reduced", std::uint64_t{0});
     line("views",
-         fmt::format("{} finished, backlog {}{}", views.at("finished").get<std::uint64_t>(),
+         fmt::format("{} finished{}, backlog {}{}", views.at("finished").get<std::uint64_t>(),
+                     reduced > 0 ? fmt::format(" ({} of reduced quality)", reduced) : "",
                      views.at("backlog").get<std::int64_t>(),
                      error.empty() ? "" : " (stalled: " + error + ")"));
+    if (views.contains("quality_level")) {
+      line("quality", fmt::format("level {} ({})", views.value("quality_level", 0),
+                                  views.value("quality", "")));
+    }
   } else {
     line("views", "not made here (pipeline.enabled = false)");
   }
@@ -205,6 +219,9 @@ std::string ProgressLine(const Json& s) {
       "{:<9} positions {}  frames {}  views {}  backlog {}", s.at("state").get<std::string>(),
       s.at("positions_triggered").get<std::int64_t>(), s.at("frames_recorded").get<std::uint64_t>(),
       views.at("finished").get<std::uint64_t>(), views.at("backlog").get<std::int64_t>());
+  if (const int level = views.value("quality_level", 0); level > 0) {
+    text += fmt::format("  quality level {}", level);
+  }
   if (const auto dropped = s.at("frames_dropped").get<std::uint64_t>(); dropped > 0) {
     text += fmt::format("  lost {}", dropped);
   }

@@ -37,6 +37,9 @@ struct StatusReport {
   bool pipeline_enabled = true;
   std::uint64_t views_finished = 0;       // on disk
   std::int64_t backlog = 0;               // positions with pixels whose view is not on disk
+  int quality_level = 0;                  // of the next view; 0 = full
+  std::string quality = "full";           // in words
+  std::uint64_t views_reduced = 0;        // of those on disk, made at a level above 0
   std::optional<std::int64_t> last_view;  // position
   std::string views_error;                // what keeps the pipeline from working
 
@@ -57,7 +60,7 @@ nlohmann::json StatusToJson(const StatusReport& status);
 std::string StatusToMetrics(const StatusReport& status);
 // For people, several lines, from the JSON form.
 std::string StatusForPeople(const nlohmann::json& status);
-// One line: "armed  positions 12  frames 11  views 9  backlog 2 ...".
+// One line: "armed  positions 12  frames 11  views 9  backlog 2 ...", with what is unusual behind.
 std::string ProgressLine(const nlohmann::json& status);
 
 }  // namespace omnihdr

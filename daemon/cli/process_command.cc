@@ -36,6 +36,7 @@ struct ProcessArguments {
   int workers = 0;
   bool resume = false;
   bool overwrite = false;
+  bool upgrade = false;
   bool profile = false;
   bool quiet = false;
 };
@@ -68,20 +69,23 @@ Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
 struct Standing {
   int positions = 0;  // with a frame that claims pixels
   int complete = 0;   // of those, with a view
+  int reduced = 0;    // of those, with a view of reduced quality
 };
 
 Result<Standing> StandingOf(const std::filesystem::path& session,
                             const std::filesystem::path& views) {
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
-  OMNIHDR_ASSIGN(const std::vector<PositionId> complete, CompleteViews(views));
+  OMNIHDR_ASSIGN(const auto complete, CompleteViewLevels(views));
   std::set<PositionId> positions;
   for (const FrameRecord& frame : contents.journal.frames) {
     if (frame.status == FrameStatus::kOk) positions.insert(frame.position);
   }
   Standing standing;
   standing.positions = static_cast<int>(positions.size());
-  for (const PositionId position : complete) {
-    standing.complete += static_cast<int>(positions.count(position));
+  for (const auto& [position, level] : complete) {
+    if (!positions.contains(position)) continue;
+    ++standing.complete;
+    if (level > 0) ++standing.reduced;
   }
   return standing;
 }
@@ -99,6 +103,12 @@ Status RemoveViews(const std::filesystem::path& views) {
   return {};
 }
 
+std::string ReducedText(int reduced) {
+  return reduced == 0
+             ? std::string()
+             : fmt::format("{} of reduced quality (--upgrade makes them anew in full)", reduced);
+}
+
 Result<int> Process(const ProcessArguments& arguments) {
   OMNIHDR_ASSIGN(const PipelineOptions options, OptionsOf(arguments));
   if (arguments.workers > 0) SetWorkerCount(arguments.workers);
@@ -108,16 +118,22 @@ Result<int> Process(const ProcessArguments& arguments) {
   const std::filesystem::path views = out / "views";
   if (arguments.overwrite) OMNIHDR_TRY(RemoveViews(views));
   OMNIHDR_ASSIGN(const Standing standing, StandingOf(session, views));
-  if (standing.positions > 0 && standing.complete == standing.positions) {
+  if (arguments.upgrade && standing.reduced == 0) {
+    fmt::print("{}: all {} views there are of full quality, nothing to do\n", views.string(),
+               standing.complete);
+    return 0;
+  }
+  if (!arguments.upgrade && standing.positions > 0 && standing.complete == standing.positions) {
     fmt::print("{}: all {} views are complete, nothing to do (--overwrite makes them anew)\n",
                views.string(), standing.complete);
+    if (standing.reduced > 0) fmt::print("of these, {}\n", ReducedText(standing.reduced));
     OMNIHDR_ASSIGN(const std::string made_with, MadeWith(options, session));
     if (const std::string otherwise = OtherwiseMade(views, made_with); !otherwise.empty()) {
       fmt::print(stderr, "warning: {}\n", otherwise);
     }
     return 0;
   }
-  if (standing.complete > 0 && !arguments.resume) {
+  if (standing.complete > 0 && !arguments.resume && !arguments.upgrade) {
     return Fail(ErrorKind::kUsage,
                 "{}: holds {} of {} views; --resume continues, --overwrite makes all anew",
                 views.string(), standing.complete, standing.positions);
@@ -156,8 +172,10 @@ Result<int> Process(const ProcessArguments& arguments) {
     fmt::print(stderr, "warning: {}\n", message);
   };
   const auto start = std::chrono::steady_clock::now();
+  ProcessorOptions how;  // nothing has to be kept up with: in full, whatever pipeline.overload says
+  how.upgrade = arguments.upgrade;
   OMNIHDR_ASSIGN(const std::unique_ptr<SessionProcessor> processor,
-                 SessionProcessor::Open(session, out, options, callbacks));
+                 SessionProcessor::Open(session, out, options, callbacks, how));
   OMNIHDR_TRY(processor->Finish());
   const SessionProcessor::Counts counts = processor->counts();
   const double elapsed =
@@ -166,7 +184,13 @@ Result<int> Process(const ProcessArguments& arguments) {
     return Fail(ErrorKind::kData, "{}: no position with a usable frame, no view made",
                 session.string());
   }
+  if (arguments.upgrade && counts.views_reduced > 0) {
+    return Fail(ErrorKind::kData,
+                "{}: {} views are still of reduced quality: their frames cannot be used",
+                views.string(), counts.views_reduced);
+  }
   fmt::print("{}: {} views written, {} complete", views.string(), written, counts.views_complete);
+  if (counts.views_reduced > 0) fmt::print(", {}", ReducedText(counts.views_reduced));
   if (counts.positions_without_pixels > 0) {
     fmt::print(", {} positions without usable frames", counts.positions_without_pixels);
   }
@@ -215,7 +239,15 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
       ->check(CLI::Range(1, 256));
   CLI::Option* resume =
       command->add_flag("--resume", arguments->resume, "continue where the complete views end");
-  command->add_flag("--overwrite", arguments->overwrite, "make all views anew")->excludes(resume);
+  CLI::Option* overwrite =
+      command->add_flag("--overwrite", arguments->overwrite, "make all views anew");
+  overwrite->excludes(resume);
+  command
+      ->add_flag("--upgrade", arguments->upgrade,
+                 "make the views anew, in full, that were made at a reduced quality level "
+                 "(pipeline.overload), and no others")
+      ->excludes(resume)
+      ->excludes(overwrite);
   command->add_flag("--profile", arguments->profile, "print where the time of each view goes");
   command->add_flag("-q,--quiet", arguments->quiet, "no line per view");
   command->callback([arguments, &run] { run = [arguments] { return Process(*arguments); }; });

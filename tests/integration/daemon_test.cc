@@ -302,6 +302,34 @@ TEST_F(Daemon, AReplayGivesTheBytesOfTheBatchTool) {
   EXPECT_FALSE(Client().Post("/v1/arm"));
 }
 
+TEST_F(Daemon, OverloadedItReducesViewsAndAnUpgradeGivesTheBytesOfTheBatchTool) {
+  constexpr int kPositions = 14;
+  RecordSource(kPositions, true);
+  // A replay comes as fast as the disk takes it: much faster than views are made.
+  WriteConfig(ReplayCamera("replay"), "[pipeline]\noverload = \"degrade\"\nbacklog_limit = 2\n");
+  const auto reference = ProcessedSource();
+  ASSERT_EQ(reference.size(), 4U * kPositions);
+  {
+    const auto daemon = Start();
+    ASSERT_TRUE(
+        StatusHolds([](const auto& s) { return s.is_object() && s["session"]["ended"] == true; }));
+    const nlohmann::json views = StatusNow()["views"];
+    EXPECT_GT(views["reduced"], 0);
+    EXPECT_EQ(views["quality_level"], 0) << "nothing waits any more";
+    const auto [code, text] =
+        RunOmnihdr({"status", "--socket", (directory() / "api.sock").string()}, directory());
+    EXPECT_EQ(code, 0);
+    EXPECT_THAT(text, HasSubstr("of reduced quality"));
+    daemon->Signal(SIGTERM);
+    EXPECT_EQ(daemon->Wait(), 0);
+  }
+  EXPECT_FALSE(FilesBelow(session() / "views") == reference);
+  const auto [code, output] =
+      RunOmnihdr({"process", session().string(), "--upgrade", "--config", Config()}, directory());
+  EXPECT_EQ(code, 0) << output;
+  EXPECT_TRUE(FilesBelow(session() / "views") == reference);
+}
+
 TEST_F(Daemon, ACleanStopLeavesTheSessionOpenAndTheNextStartGoesOn) {
   RecordSource(6);
   WriteConfig(ReplayCamera("software"));

@@ -61,6 +61,24 @@ TEST(ViewRecord, SaysNothingThatDiffersBetweenRuns) {
   EXPECT_EQ(text, FormatViewRecord(test::SampleView(3)));
 }
 
+TEST(ViewRecord, TellsItsQualityAndOneThatDoesNotIsFull) {
+  ViewRecord reduced = test::SampleView(3);
+  EXPECT_NE(FormatViewRecord(reduced).find("\"quality_level\": 0"), std::string::npos);
+  reduced.quality_level = 2;
+  reduced.quality = "less of it";
+  const Result<ViewRecord> view = ParseViewRecord(FormatViewRecord(reduced), "view.json");
+  ASSERT_TRUE(view) << view.error().message;
+  EXPECT_EQ(view->quality_level, 2);
+  EXPECT_EQ(view->quality, "less of it");
+  std::string old = FormatViewRecord(test::SampleView(3));
+  const std::string key = "\"quality_level\": 0,";
+  ASSERT_NE(old.find(key), std::string::npos) << old;
+  old.erase(old.find(key), key.size());
+  // As written by a version that knew nothing of it.
+  ASSERT_TRUE(ParseViewRecord(old, "view.json"));
+  EXPECT_EQ(ParseViewRecord(old, "view.json")->quality_level, 0);
+}
+
 TEST(ViewRecord, ARoundedQuaternionIsNormalised) {
   std::string text = FormatViewRecord(test::SampleView(3));
   const std::string unit = "\"orientation\": [1.0,0.0,0.0,0.0]";
@@ -84,6 +102,7 @@ TEST(ViewRecord, EveryMalformedValueIsRefused) {
       {"[0,1,2]", "3", "frames: 3, expected an array of frame numbers"},
       {"\"reference\": 1", "\"reference\": \"x\"", "reference: \"x\", expected a whole number"},
       {"\"chain\": 0", "\"chain\": -1", "chain: -1, expected"},
+      {"\"quality_level\": 0", "\"quality_level\": -1", "quality_level: -1, expected a whole"},
       {"\"warnings\": []", "\"warnings\": [1]", "warnings: [1], expected an array of strings"},
       {"\"max\": 812.0", "\"max\": \"812\"", "radiance.max: \"812\", expected a number"},
       {"\"max\": 812.0, ", "", "radiance.max: missing, expected a number"},

@@ -82,6 +82,31 @@ TEST(Status, PeopleReadReasonsAndLosses) {
   EXPECT_THAT(text, Not(HasSubstr("disk-full")));
 }
 
+TEST(Status, ReducedQualityIsTold) {
+  StatusReport s = Busy();
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), HasSubstr("level 0 (full)"));
+  s.quality_level = 2;
+  s.quality = "labels x 2/3, stereo width x 3/4";
+  s.views_reduced = 3;
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["views"]["quality_level"], 2);
+  EXPECT_EQ(json["views"]["quality"], s.quality);
+  EXPECT_EQ(json["views"]["reduced"], 3);
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_views_quality_level 2\n"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_views_reduced 3\n"));
+  EXPECT_THAT(StatusForPeople(json), HasSubstr("8 finished (3 of reduced quality), backlog 2"));
+  EXPECT_THAT(StatusForPeople(json), HasSubstr("level 2 (labels x 2/3, stereo width x 3/4)"));
+  EXPECT_EQ(ProgressLine(json),
+            "degraded  positions 12  frames 10  views 8  backlog 2  quality level 2  lost 2");
+}
+
+TEST(Status, AnOlderDaemonsAnswerIsUnderstood) {
+  auto json = StatusToJson(Busy());
+  for (const char* key : {"quality_level", "quality", "reduced"}) json["views"].erase(key);
+  EXPECT_THAT(StatusForPeople(json), HasSubstr("8 finished, backlog 2"));
+  EXPECT_THAT(ProgressLine(json), Not(HasSubstr("quality")));
+}
+
 TEST(Status, TheProgressLineHasTheFourCounts) {
   EXPECT_EQ(ProgressLine(StatusToJson(Busy())),
             "degraded  positions 12  frames 10  views 8  backlog 2  lost 2");

@@ -12,6 +12,7 @@
 
 #include "core/base/file.h"
 #include "core/image/exr.h"
+#include "core/pipeline/session_processor.h"
 #include "core/session/view_writer.h"
 #include "daemon/cli/command.h"
 #include "tests/support/small_session.h"
@@ -77,6 +78,48 @@ TEST_F(ProcessCommand, WhiteBalanceMultipliesTheRadianceAsItsConfigurationKeyDoe
     // Where a value clips, what counts as clipped in which channel decides, not the gain alone.
     EXPECT_GT(static_cast<double>(right), 0.9 * static_cast<double>(a.size())) << channel;
   }
+}
+
+TEST_F(ProcessCommand, UpgradeMakesReducedViewsAnewAndNothingElse) {
+  testing::SessionPlan plan;
+  plan.projection = Projection::Equirectangular(128, 64);
+  plan.poses = testing::GentleBend(8, 0.1);
+  plan.with_prior_poses = true;
+  testing::WriteSession(Path("session"), plan, testing::RenderFrames(plan));
+  ASSERT_TRUE(WriteFileAtomic(Path("c.toml"), std::string("[stereo]\nwidth = 128\nlabels = 24\n")));
+  const std::vector<std::string> process = {"process", Path("session"), "--config", Path("c.toml")};
+  const auto with = [&](const std::string& flag) {
+    std::vector<std::string> words = process;
+    words.push_back(flag);
+    return words;
+  };
+  ASSERT_TRUE(Run(process));
+  const auto full = testing::ViewBytes(Path("session"));
+  ASSERT_TRUE(Run(with("--upgrade")));
+  EXPECT_THAT(printed_, HasSubstr("all 8 views there are of full quality, nothing to do"));
+
+  // As a daemon makes them that cannot keep up.
+  std::filesystem::remove_all(Path("session/views"));
+  PipelineOptions options;
+  options.stereo_width = 128;
+  options.labels = 24;
+  ProcessorOptions how;
+  how.overload = {.overload = Overload::kDegrade, .backlog_limit = 4};
+  const auto processor = SessionProcessor::Open(Path("session"), {}, options, {}, how);
+  ASSERT_TRUE(processor) << processor.error().message;
+  ASSERT_TRUE((*processor)->Finish());
+  const int reduced = (*processor)->counts().views_reduced;
+  ASSERT_GT(reduced, 0);
+
+  ASSERT_TRUE(Run(process));
+  EXPECT_THAT(printed_, HasSubstr(fmt::format("{} of reduced quality (--upgrade", reduced)));
+  const Result<int> other = Run({"process", Path("session"), "--upgrade"});
+  ASSERT_FALSE(other) << "other options than the views were made with";
+  EXPECT_EQ(other.error().kind, ErrorKind::kConfig);
+  EXPECT_FALSE(Run({"process", Path("session"), "--upgrade", "--resume"}));
+  ASSERT_TRUE(Run(with("--upgrade")));
+  EXPECT_THAT(printed_, HasSubstr(fmt::format("{} views written, 8 complete", reduced)));
+  EXPECT_TRUE(testing::ViewBytes(Path("session")) == full);
 }
 
 TEST_F(ProcessCommand, GainsOutOfRangeAreRefusedBeforeAnythingIsRead) {
