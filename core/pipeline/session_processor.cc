@@ -11,6 +11,7 @@
 
 #include "core/base/crc32c.h"
 #include "core/base/file.h"
+#include "core/base/profile.h"
 #include "core/image/image_io.h"
 #include "core/photometry/exposure_refine.h"
 #include "core/pipeline/frame_measurer.h"
@@ -197,6 +198,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   }
 
   Status ReadJournal() {
+    const ProfileScope profile("journal");
     OMNIHDR_ASSIGN(std::vector<FrameRecord> records, follower_.ReadNew());
     const std::vector<std::string>& warnings = follower_.warnings();
     for (; warnings_told_ < warnings.size(); ++warnings_told_) Warn(warnings[warnings_told_]);
@@ -444,6 +446,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     measure.weights = options_.weights;
     measure.white_balance = options_.white_balance;
     measure.demosaic = options_.demosaic;
+    const ProfileScope profile("measure");
     std::vector<std::string> notes = RefineLabels(exposed, usable);
     Result<Measurement> measurement = measurer_->Measure(exposed, measure);
     if (!measurement) {
@@ -491,6 +494,7 @@ class SessionProcessorImpl final : public SessionProcessor {
 
   Result<DecodedImage> LoadFrame(const FrameRecord& record) const {
     const std::filesystem::path path = session_ / record.file;
+    const ProfileScope read_profile("read");
     OMNIHDR_ASSIGN(const std::vector<std::byte> bytes, ReadFile(path));
     if (record.crc32c) {
       const std::uint32_t crc = Crc32c(bytes);
@@ -499,6 +503,7 @@ class SessionProcessorImpl final : public SessionProcessor {
                     *record.crc32c);
       }
     }
+    const ProfileScope decode_profile("decode");
     OMNIHDR_ASSIGN(DecodedImage image, DecodeImage(bytes, path.string()));
     if (image.width() != info_.camera.width || image.height() != info_.camera.height) {
       return Fail(ErrorKind::kData, "{}: {}x{}, expected {}x{} as session.json says", path.string(),
@@ -522,6 +527,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     if (loaded->frames.size() == 1) {
       view.warnings.push_back("one exposure at this position: no range gained");
     }
+    const ProfileScope profile("merge");
     if (view.is_latlong) {
       const int width = options_.output_width != 0
                             ? options_.output_width
@@ -561,6 +567,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   Status WriteWaiting() {
     while (!waiting_.empty()) {
       Waiting& waiting = waiting_.front();
+      const ProfileScope profile("write");
       const auto start = std::chrono::steady_clock::now();
       Status written = WriteView(views_, waiting.done.position, how_.upgrade,
                                  [&waiting](const std::filesystem::path& directory) -> Status {

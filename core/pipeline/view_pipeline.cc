@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "core/base/profile.h"
 #include "core/pipeline/quality.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/pairwise_costs.h"
@@ -111,6 +112,7 @@ const StereoView& ViewPipeline::StereoViewOf(std::size_t index, int width) {
   FixRotation(index);
   Slot& slot = slots_[index];
   if (slot.stereo_view.width != 2 * width) {
+    const ProfileScope profile("stereo views");
     slot.stereo_view =
         MakeStereoView(slot.input.measurement, *slot.stereo_view_rotation, 2 * width, scale_);
     slot.coarse_view = StereoView{};
@@ -187,6 +189,7 @@ std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
   const int width = options.stereo_width;
   std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
   if (guide == nullptr || guide->disparity.width() != width) {
+    const ProfileScope profile("coarse match");
     SweepOptions coarse = sweep;
     coarse.labels = std::max(kLeastCoarseLabels, sweep.labels / 2);
     const StereoView& reference = CoarseViewOf(index, width);
@@ -216,9 +219,13 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index,
     sweep.ranges = SearchRanges(index, indices, options, sweep);
   }
   const StereoView& reference = StereoViewOf(index, options.stereo_width);
-  const CostVolume volume =
-      MatchingCosts(options_.cost, reference,
-                    SweepNeighbours(index, indices, options.stereo_width, false), sweep);
+  const std::vector<SweepNeighbour> neighbours =
+      SweepNeighbours(index, indices, options.stereo_width, false);
+  const CostVolume volume = [&] {
+    const ProfileScope profile("sweep");
+    return MatchingCosts(options_.cost, reference, neighbours, sweep);
+  }();
+  const ProfileScope profile("semi-global");
   return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
 }
 
@@ -241,6 +248,7 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
                   .cast<float>()});
   }
   const double tolerance = 1.5 * SearchLimit(index, neighbours) / (options.labels - 1);
+  const ProfileScope profile("fuse");
   DisparityMap fused;
   switch (options_.fusion) {
     case StereoFusion::kVotes: {
@@ -256,6 +264,7 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
       fused = FuseCrossChecked(*slot.raw, maps, {.tolerance = tolerance});
       break;
   }
+  const ProfileScope fill_profile("filter and fill");
   if (options_.filter == StereoFilter::kWavelet) {
     FilterWavelet({.tolerance = tolerance}, &fused);
   }
@@ -326,6 +335,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   if (!view.made) return view;
 
   const Stopwatch merge_time;
+  const ProfileScope profile("merge");
   std::vector<MergeSource> others;
   for (const std::size_t n : Neighbours(index, options_.merge_neighbours)) {
     const Slot& other = slots_[n];
@@ -366,7 +376,10 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
 std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantView& want,
                                                int quality_level) {
   const Stopwatch pose_time;
-  tracker_->Push(input.position, input.measurement, input.odometer_m, input.prior);
+  {
+    const ProfileScope profile("poses, the rest");
+    tracker_->Push(input.position, input.measurement, input.odometer_m, input.prior);
+  }
   last_pose_s_ = pose_time.Seconds();
   ExtendScale(input.measurement);
   const PositionId position = input.position;

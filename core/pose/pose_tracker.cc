@@ -10,6 +10,7 @@
 #include <set>
 #include <utility>
 
+#include "core/base/profile.h"
 #include "core/pose/bundle_adjustment.h"
 #include "core/pose/feature_image.h"
 #include "core/pose/features.h"
@@ -120,7 +121,11 @@ std::vector<PoseEstimate> Tracker::Window() const {
 // before.
 Evidence Tracker::Observe(std::size_t index, PositionId position, const Measurement& measurement) {
   Evidence evidence;
-  evidence.features = finder_.Find(MakeFeatureImage(measurement, options_.feature_image_width));
+  {
+    const ProfileScope profile("features");
+    evidence.features = finder_.Find(MakeFeatureImage(measurement, options_.feature_image_width));
+  }
+  const ProfileScope profile("match and relative pose");
   for (std::size_t back = 1; back <= static_cast<std::size_t>(options_.link_span); ++back) {
     if (back > index) break;
     const std::size_t older = index - back;
@@ -357,6 +362,7 @@ void Tracker::Place(TrackedPosition* tracked, Evidence* evidence,
 
 // Adjusts the window's positions of one chain together, and takes stock of distances.
 void Tracker::Adjust(int chain_id) {
+  const ProfileScope profile("adjust");
   const Chain& chain = state_.chains.at(chain_id);
   std::vector<std::size_t> members;
   std::vector<int> camera_of(size(), -1);

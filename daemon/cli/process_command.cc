@@ -5,16 +5,20 @@
 #include <cstdio>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "core/base/parallel_for.h"
+#include "core/base/profile.h"
 #include "core/pipeline/made_with.h"
 #include "core/pipeline/session_processor.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
 #include "daemon/cli/command.h"
+#include "daemon/cli/profile_table.h"
 #include "daemon/cli/white_balance_option.h"
 #include "daemon/config.h"
 
@@ -38,6 +42,7 @@ struct ProcessArguments {
   bool overwrite = false;
   bool upgrade = false;
   bool profile = false;
+  bool json = false;
   bool quiet = false;
 };
 
@@ -109,6 +114,19 @@ std::string ReducedText(int reduced) {
              : fmt::format("{} of reduced quality (--upgrade makes them anew in full)", reduced);
 }
 
+// What was done, for scripts. `profile`: null when it was not asked for, or nothing was made.
+void PrintJson(const std::filesystem::path& views, const SessionProcessor::Counts& counts,
+               double seconds, const nlohmann::json& profile) {
+  nlohmann::json json = {{"views", views.string()},
+                         {"written", counts.views_written},
+                         {"complete", counts.views_complete},
+                         {"reduced", counts.views_reduced},
+                         {"positions_without_pixels", counts.positions_without_pixels},
+                         {"seconds", seconds}};
+  if (!profile.is_null()) json["profile"] = profile;
+  fmt::print("{}\n", json.dump(1, ' ', false, nlohmann::json::error_handler_t::replace));
+}
+
 Result<int> Process(const ProcessArguments& arguments) {
   OMNIHDR_ASSIGN(const PipelineOptions options, OptionsOf(arguments));
   if (arguments.workers > 0) SetWorkerCount(arguments.workers);
@@ -118,12 +136,20 @@ Result<int> Process(const ProcessArguments& arguments) {
   const std::filesystem::path views = out / "views";
   if (arguments.overwrite) OMNIHDR_TRY(RemoveViews(views));
   OMNIHDR_ASSIGN(const Standing standing, StandingOf(session, views));
+  const bool is_complete = standing.positions > 0 && standing.complete == standing.positions;
+  if (arguments.json && (arguments.upgrade ? standing.reduced == 0 : is_complete)) {
+    SessionProcessor::Counts counts;
+    counts.views_complete = standing.complete;
+    counts.views_reduced = standing.reduced;
+    PrintJson(views, counts, 0.0, nullptr);
+    return 0;
+  }
   if (arguments.upgrade && standing.reduced == 0) {
     fmt::print("{}: all {} views there are of full quality, nothing to do\n", views.string(),
                standing.complete);
     return 0;
   }
-  if (!arguments.upgrade && standing.positions > 0 && standing.complete == standing.positions) {
+  if (!arguments.upgrade && is_complete) {
     fmt::print("{}: all {} views are complete, nothing to do (--overwrite makes them anew)\n",
                views.string(), standing.complete);
     if (standing.reduced > 0) fmt::print("of these, {}\n", ReducedText(standing.reduced));
@@ -138,45 +164,35 @@ Result<int> Process(const ProcessArguments& arguments) {
                 "{}: holds {} of {} views; --resume continues, --overwrite makes all anew",
                 views.string(), standing.complete, standing.positions);
   }
-  if (arguments.resume && standing.complete > 0) {
+  if (arguments.resume && standing.complete > 0 && !arguments.json) {
     fmt::print("continuing: {} of {} views are complete\n", standing.complete, standing.positions);
   }
 
-  ViewDone total;
-  int written = 0;
-  int warnings = 0;
   ProcessorCallbacks callbacks;
   callbacks.view_done = [&](const ViewDone& done) {
     if (done.already_complete) return;
-    ++written;
-    total.pose_s += done.pose_s;
-    total.stereo_s += done.stereo_s;
-    total.merge_s += done.merge_s;
-    total.write_s += done.write_s;
-    if (!arguments.quiet) {
+    if (!arguments.quiet && !arguments.json) {
       const double seconds = done.pose_s + done.stereo_s + done.merge_s + done.write_s;
-      fmt::print("{}  {:.2f} s", (views / ViewDirectoryName(done.position)).string(), seconds);
-      if (arguments.profile) {
-        fmt::print("  pose {:.3f}  stereo {:.3f}  merge {:.3f}  write {:.3f}", done.pose_s,
-                   done.stereo_s, done.merge_s, done.write_s);
-      }
-      fmt::print("\n");
+      fmt::print("{}  {:.2f} s\n", (views / ViewDirectoryName(done.position)).string(), seconds);
       std::fflush(stdout);
     }
     for (const std::string& warning : done.warnings) {
       fmt::print(stderr, "position {}: {}\n", Value(done.position), warning);
     }
   };
-  callbacks.warning = [&warnings](const std::string& message) {
-    ++warnings;
+  callbacks.warning = [](const std::string& message) {
     fmt::print(stderr, "warning: {}\n", message);
   };
+  Profile profile;
+  std::optional<ProfileRecording> recording;
+  if (arguments.profile) recording.emplace(profile);
   const auto start = std::chrono::steady_clock::now();
   ProcessorOptions how;  // nothing has to be kept up with: in full, whatever pipeline.overload says
   how.upgrade = arguments.upgrade;
   OMNIHDR_ASSIGN(const std::unique_ptr<SessionProcessor> processor,
                  SessionProcessor::Open(session, out, options, callbacks, how));
   OMNIHDR_TRY(processor->Finish());
+  recording.reset();
   const SessionProcessor::Counts counts = processor->counts();
   const double elapsed =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -189,17 +205,20 @@ Result<int> Process(const ProcessArguments& arguments) {
                 "{}: {} views are still of reduced quality: their frames cannot be used",
                 views.string(), counts.views_reduced);
   }
+  const int written = counts.views_written;
+  const bool has_profile = arguments.profile && written > 0;
+  if (arguments.json) {
+    PrintJson(views, counts, elapsed,
+              has_profile ? ProfileJson(profile.report(), written) : nlohmann::json());
+    return 0;
+  }
   fmt::print("{}: {} views written, {} complete", views.string(), written, counts.views_complete);
   if (counts.views_reduced > 0) fmt::print(", {}", ReducedText(counts.views_reduced));
   if (counts.positions_without_pixels > 0) {
     fmt::print(", {} positions without usable frames", counts.positions_without_pixels);
   }
   fmt::print(", {:.1f} s\n", elapsed);
-  if (arguments.profile && written > 0) {
-    const double n = written;
-    fmt::print("mean per view: pose {:.3f} s, stereo {:.3f} s, merge {:.3f} s, write {:.3f} s\n",
-               total.pose_s / n, total.stereo_s / n, total.merge_s / n, total.write_s / n);
-  }
+  if (has_profile) fmt::print("{}", ProfileTable(profile.report(), written));
   return 0;
 }
 
@@ -248,7 +267,9 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
                  "(pipeline.overload), and no others")
       ->excludes(resume)
       ->excludes(overwrite);
-  command->add_flag("--profile", arguments->profile, "print where the time of each view goes");
+  command->add_flag("--profile", arguments->profile,
+                    "print where the time of a view goes: wall and CPU time by part");
+  command->add_flag("--json", arguments->json, "one JSON object instead of lines for people");
   command->add_flag("-q,--quiet", arguments->quiet, "no line per view");
   command->callback([arguments, &run] { run = [arguments] { return Process(*arguments); }; });
 }

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <filesystem>
 #include <map>
+#include <nlohmann/json.hpp>
 #include <span>
 #include <string>
 #include <utility>
@@ -120,6 +121,56 @@ TEST_F(ProcessCommand, UpgradeMakesReducedViewsAnewAndNothingElse) {
   ASSERT_TRUE(Run(with("--upgrade")));
   EXPECT_THAT(printed_, HasSubstr(fmt::format("{} views written, 8 complete", reduced)));
   EXPECT_TRUE(testing::ViewBytes(Path("session")) == full);
+}
+
+TEST_F(ProcessCommand, TheProfileSaysWhereTheTimeOfAViewGoes) {
+  testing::SessionPlan plan;
+  plan.projection = Projection::Equirectangular(256, 128);
+  plan.poses = testing::GentleBend(4, 0.2);
+  testing::WriteSession(Path("session"), plan, testing::RenderFrames(plan));
+  ASSERT_TRUE(WriteFileAtomic(Path("c.toml"), std::string("[stereo]\nwidth = 128\nlabels = 24\n")));
+  const std::vector<std::string> common = {"process",      Path("session"), "--config",
+                                           Path("c.toml"), "--profile",     "--out"};
+  const auto run = [&](std::vector<std::string> more) {
+    more.insert(more.begin(), common.begin(), common.end());
+    const Result<int> result = Run(std::move(more));
+    EXPECT_TRUE(result) << result.error().message;
+  };
+  run({Path("a"), "--json"});
+  const auto json = nlohmann::json::parse(printed_);
+  EXPECT_EQ(json["written"], 4);
+  EXPECT_EQ(json["reduced"], 0);
+  const auto& profile = json["profile"];
+  EXPECT_EQ(profile["views"], 4);
+  std::map<std::string, nlohmann::json> parts;
+  double wall_ms = 0.0;
+  double cpu_ms = 0.0;
+  for (const auto& part : profile["parts"]) {
+    parts[part["part"]] = part;
+    if (part["beside_others"]) continue;
+    wall_ms += part["wall_ms"].get<double>();
+    cpu_ms += part["cpu_ms"].get<double>();
+  }
+  for (const char* name :
+       {"read", "decode", "measure", "features", "match and relative pose", "adjust",
+        "stereo views", "sweep", "semi-global", "fuse", "filter and fill", "merge", "write"}) {
+    EXPECT_TRUE(parts.contains(name)) << name;
+  }
+  for (const char* name : {"radiance.exr", "disparity.exr", "preview.jpg"}) {
+    EXPECT_TRUE(parts[name]["beside_others"]) << name;
+    EXPECT_EQ(parts[name]["calls"], 4) << name;
+  }
+  EXPECT_NEAR(wall_ms, profile["wall_ms"], 1e-6) << "the parts are the whole";
+  EXPECT_NEAR(cpu_ms, profile["cpu_ms"], 1e-6);
+  EXPECT_EQ(parts["decode"]["calls"], 4);
+
+  run({Path("b")});
+  for (const char* line :
+       {"part (mean per view)", "semi-global", "  of it radiance.exr", "elsewhere", "100.0 %"}) {
+    EXPECT_THAT(printed_, HasSubstr(line));
+  }
+  // Nothing of it is in the views.
+  EXPECT_TRUE(testing::ViewBytes(Path("a")) == testing::ViewBytes(Path("b")));
 }
 
 TEST_F(ProcessCommand, GainsOutOfRangeAreRefusedBeforeAnythingIsRead) {
