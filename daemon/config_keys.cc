@@ -474,6 +474,10 @@ std::vector<ConfigKey> MakeKeys() {
 
   add(Number("pose.min_baseline_ratio", "a ratio", 0, 0.5,
              OMNIHDR_MEMBER(pipeline.options.min_baseline_ratio)));
+  add(Whole("pose.keyframes", "a whole number", 0, 1000,
+            OMNIHDR_MEMBER(pipeline.options.keyframes)));
+  add(Number("pose.heading_sigma_deg", "degrees", 0, 90,
+             OMNIHDR_MEMBER(pipeline.options.heading_sigma_deg)));
 
   add(Number("merge.consistency_sigma", "decades", 0.001, 10,
              OMNIHDR_MEMBER(pipeline.options.consistency_sigma)));

@@ -48,6 +48,8 @@ Status PipelineOptions::Validate() const {
   OMNIHDR_TRY(InRange("stereo.max_parallax_deg", max_parallax_deg, 1, 90));
   OMNIHDR_TRY(InRange("stereo.neighbours", neighbours, 1, 2));
   OMNIHDR_TRY(InRange("pose.min_baseline_ratio", min_baseline_ratio, 0, 0.5));
+  OMNIHDR_TRY(InRange("pose.keyframes", keyframes, 0, 1000));
+  OMNIHDR_TRY(InRange("pose.heading_sigma_deg", heading_sigma_deg, 0, 90));
   OMNIHDR_TRY(InRange("merge.consistency_sigma", consistency_sigma, 0.001, 10));
   OMNIHDR_TRY(InRange("merge.neighbours", merge_neighbours, 1, 2));
   return {};

@@ -71,7 +71,9 @@ struct PipelineOptions {
   bool sky = false;  // whether superpixels the colour of the sky are put at infinity
   // [pose]
   double min_baseline_ratio =
-      0.002;  // below this (baseline over median distance) a pair is a pure rotation
+      0.002;           // below this (baseline over median distance) a pair is a pure rotation
+  int keyframes = 64;  // places remembered to be recognised, at most; 0 = none
+  double heading_sigma_deg = 0.0;  // of the frames' compass headings, degrees; 0 = not used
   // [merge]
   // log10 disagreement with the own view, beyond noise and misregistration, at which another view's
   // sample counts half

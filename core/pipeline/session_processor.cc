@@ -30,6 +30,7 @@ using FramesByPosition = std::map<std::int64_t, std::vector<FrameRecord>>;
 // An upgrade goes on from a saved state rather than through so many positions: more than a restored
 // pipeline and its poses' window need again.
 constexpr std::ptrdiff_t kWorthSkipping = 3 * ViewPipeline::kWarmUpPositions;
+constexpr std::size_t kMaxKeyframeBytes = std::size_t{1} << 20;
 
 double SecondsSince(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -268,6 +269,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     input.reference = loaded->reference.frame;
     input.odometer_m = loaded->reference.odometer_m;
     input.prior = loaded->reference.pose;
+    input.heading_deg = loaded->reference.heading_deg;
     std::optional<FinishedView> finished =
         pipeline_->Push(std::move(input), WantView(), quality_level);
     if (finished) {
@@ -375,12 +377,37 @@ class SessionProcessorImpl final : public SessionProcessor {
         pipeline_->Rewarm(position, loaded->measurement);
       }
     }
+    if (restored) restored = RestoreKeyframes();
     if (restored) return true;
     Warn(fmt::format("cannot continue from a saved state ({}): starting from the first position",
                      restored.error().message));
     Result<std::unique_ptr<ViewPipeline>> fresh = ViewPipeline::Create(options_);
     if (fresh) pipeline_ = std::move(*fresh);
     return false;
+  }
+
+  std::filesystem::path KeyframePath(PositionId position) const {
+    return views_ / ViewDirectoryName(position) / kKeyframeFile;
+  }
+
+  Status RestoreKeyframes() {
+    for (const PositionId position : pipeline_->RestoreKeyframes()) {
+      OMNIHDR_ASSIGN(std::string bytes, ReadTextFile(KeyframePath(position), kMaxKeyframeBytes));
+      OMNIHDR_TRY(pipeline_->RestoreKeyframe({position, std::move(bytes)})
+                      .Context(KeyframePath(position).string()));
+    }
+    return {};
+  }
+
+  // A view that was complete before may lack what its place is recognised by (finished as the last
+  // of a session that went on, or made by an older version).
+  void CompleteKeyframe(const FinishedView& view) const {
+    const std::filesystem::path path = KeyframePath(view.pose.position);
+    std::error_code error;
+    if (view.keyframe.empty() || std::filesystem::exists(path, error)) return;
+    if (const Status written = WriteFileAtomic(path, view.keyframe); !written) {
+      Warn(written.error().message);
+    }
   }
 
   void Tell(std::int64_t position) {
@@ -559,6 +586,8 @@ class SessionProcessorImpl final : public SessionProcessor {
       waiting.done.warnings = view.warnings;
       waiting.view = std::move(view);
       waiting_.push_back(std::move(waiting));
+    } else {
+      CompleteKeyframe(view);
     }
     references_.erase(position);
   }

@@ -191,6 +191,10 @@ ViewRecord RecordOfView(const FinishedView& view, const std::string& mode) {
   record.metric_scale = view.pose.metric;
   record.chain = view.pose.chain;
   record.chain_reason = view.pose.chain_reason;
+  record.sigma = view.pose.sigma;
+  record.dead_reckoned = view.pose.dead_reckoned;
+  record.relocalised = view.pose.relocalised;
+  record.loop = view.pose.loop;
   record.orientation = view.camera_from_output;
   record.frames = Numbers(view.frames);
   record.reference = Value(view.reference);
@@ -206,6 +210,9 @@ Status WriteViewFiles(const std::filesystem::path& directory, const FinishedView
                       const ViewContext& context) {
   ViewRecord record = RecordOfView(view, context.mode);
   record.made_with = context.made_with;
+  if (!view.keyframe.empty()) {
+    OMNIHDR_TRY(WriteFileAtomic(directory / kKeyframeFile, view.keyframe));
+  }
   return WritePictures(directory, view.merged, record.position, true, true, context, &record);
 }
 

@@ -35,10 +35,14 @@ struct ViewContext {
   std::vector<std::string> notes;  // about the position's frames, for warnings
 };
 
+// What a remembered place is recognised by, in its view's directory.
+inline constexpr char kKeyframeFile[] = "keyframe.bin";
+
 // view.json's content for a finished view.
 ViewRecord RecordOfView(const FinishedView& view, const std::string& mode);
 
-// Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`. The radiance is
+// Writes radiance.exr, disparity.exr, preview.jpg and view.json into `directory`, and keyframe.bin
+// of a position that is remembered. The radiance is
 // stored as context.exr_type says; as float in any case when it exceeds what half can hold (a
 // warning in view.json says so). Channel "origin" beside R, G, B holds PixelOrigin values, and R,
 // G, B are never NaN unless asked. OpenEXR's standard attributes, where they are known: envmap,

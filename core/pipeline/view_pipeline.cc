@@ -1,5 +1,7 @@
 #include "core/pipeline/view_pipeline.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -20,6 +22,7 @@ namespace {
 
 // A view cannot wait for more neighbours than this after its own position.
 constexpr std::size_t kLookahead = 2;
+static_assert(kLookahead == PoseTracker::kFinalAfter);
 // A prepared stereo view is made anew when its pose has been corrected by more than this.
 constexpr double kStaleRotation = 5e-4;
 constexpr int kLeastCoarseLabels = 16;
@@ -34,6 +37,25 @@ class Stopwatch {
  private:
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
+
+// Old places seen again, for people; what changes nothing is only in view.json.
+std::vector<std::string> NotesOnOldPlaces(const PoseEstimate& pose) {
+  std::vector<std::string> notes;
+  if (pose.relocalised) {
+    notes.push_back(fmt::format(
+        "position {} was recognised from position {} ({} points): on with chain {}, after chain {}",
+        Value(pose.relocalised->place), Value(pose.relocalised->seen_from),
+        pose.relocalised->matches, pose.chain, pose.relocalised->from_chain));
+  }
+  if (pose.loop && pose.loop->corrected) {
+    notes.push_back(fmt::format(
+        "back at position {}, recognised from position {} ({} points): drift of {:.2f} degrees and "
+        "{:.3g} {} put right from here on",
+        Value(pose.loop->place), Value(pose.loop->seen_from), pose.loop->matches,
+        pose.loop->drift_rotation_deg, pose.loop->drift_translation, pose.metric ? "m" : "units"));
+  }
+  return notes;
+}
 
 Eigen::Vector3d OffsetInWorld(const Pose& from, const Pose& to) {
   return to.translation - from.translation;
@@ -66,6 +88,8 @@ Result<std::unique_ptr<ViewPipeline>> ViewPipeline::Create(const PipelineOptions
   std::unique_ptr<ViewPipeline> pipeline(new ViewPipeline(options));
   PoseOptions pose;
   pose.min_baseline_ratio = options.min_baseline_ratio;
+  pose.keyframes = options.keyframes;
+  pose.heading_sigma_deg = options.heading_sigma_deg;
   OMNIHDR_ASSIGN(pipeline->tracker_, PoseTracker::Create(pose));
   return pipeline;
 }
@@ -92,7 +116,10 @@ void ViewPipeline::ExtendScale(const Measurement& m) {
 void ViewPipeline::UpdatePoses() {
   for (const PoseEstimate& pose : tracker_->Window()) {
     for (Slot& slot : slots_) {
-      if (slot.input.position == pose.position) slot.pose = pose;
+      if (slot.input.position != pose.position) continue;
+      // A map is of the frame and the unit it was made in.
+      if (slot.pose.revision != pose.revision) slot.raw = nullptr;
+      slot.pose = pose;
     }
   }
 }
@@ -135,7 +162,9 @@ std::vector<std::size_t> ViewPipeline::Neighbours(std::size_t index, int reach) 
       const auto k = static_cast<std::ptrdiff_t>(index) + sign * distance;
       if (k < 0 || k >= static_cast<std::ptrdiff_t>(slots_.size())) continue;
       const Slot& other = slots_[static_cast<std::size_t>(k)];
-      if (other.pose.chain == slot.pose.chain) neighbours.push_back(static_cast<std::size_t>(k));
+      if (other.pose.chain == slot.pose.chain && other.pose.group == slot.pose.group) {
+        neighbours.push_back(static_cast<std::size_t>(k));
+      }
     }
   }
   return neighbours;
@@ -332,6 +361,10 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   if (!view.pose.chain_reason.empty()) {
     view.warnings.push_back("new chain of positions: " + view.pose.chain_reason);
   }
+  if (!view.pose.dead_reckoned.empty()) {
+    view.warnings.push_back("pose by heading and odometer alone: " + view.pose.dead_reckoned);
+  }
+  for (const std::string& note : NotesOnOldPlaces(view.pose)) view.warnings.push_back(note);
   if (!view.made) return view;
 
   const Stopwatch merge_time;
@@ -378,7 +411,8 @@ std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantVi
   const Stopwatch pose_time;
   {
     const ProfileScope profile("poses, the rest");
-    tracker_->Push(input.position, input.measurement, input.odometer_m, input.prior);
+    tracker_->Push(input.position, input.measurement,
+                   PositionClues{input.odometer_m, input.prior, input.heading_deg});
   }
   last_pose_s_ = pose_time.Seconds();
   ExtendScale(input.measurement);
@@ -392,6 +426,10 @@ std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantVi
   if (slots_.size() - next_unfinished_ > kLookahead) {
     finished = FinishSlot(next_unfinished_, want, quality_level);
     finished->resume_json = SaveState(position);
+    const std::optional<SavedKeyframe>& keyframe = tracker_->NewKeyframe();
+    if (keyframe && keyframe->position == finished->pose.position) {
+      finished->keyframe = keyframe->bytes;
+    }
     ++next_unfinished_;
   }
   // Earlier positions stay as long as a view to come can see them.

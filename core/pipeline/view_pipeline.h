@@ -28,6 +28,7 @@ struct PositionInput {
   FrameId reference{};          // of those, the one that stands for the position
   std::optional<double> odometer_m;
   std::optional<Pose> prior;
+  std::optional<double> heading_deg;  // see PositionClues
 };
 
 // A finished view, not yet on disk.
@@ -42,6 +43,8 @@ struct FinishedView {
   Eigen::Quaterniond camera_from_output = Eigen::Quaterniond::Identity();
   std::vector<std::string> warnings;
   std::string resume_json;  // see SaveState
+  // What the place is recognised by later, when it is remembered; "" else. Restore needs it again.
+  std::string keyframe;
   double stereo_s = 0.0;
   double merge_s = 0.0;
 };
@@ -62,6 +65,9 @@ class ViewPipeline {
   // Positions whose measurements Restore needs again (the pose tracker's window), at most.
   std::vector<PositionId> RestorePositions() const;
 
+  // The remembered places, whose bytes (FinishedView::keyframe) Restore needs again.
+  std::vector<PositionId> RestoreKeyframes() const { return tracker_->Keyframes(); }
+
   // `want` tells whether the view that this push finishes is wanted (already on disk: bookkeeping
   // only), `quality_level` how much work it may cost. Returns the finished view, if this push
   // finished one.
@@ -74,6 +80,9 @@ class ViewPipeline {
   // Continues after the step that gave a view's resume_json.
   Status Restore(const std::string& resume_json);
   void Rewarm(PositionId position, const Measurement& measurement);
+  Status RestoreKeyframe(const SavedKeyframe& keyframe) {
+    return tracker_->RestoreKeyframe(keyframe);
+  }
 
   double last_pose_s() const { return last_pose_s_; }
 
@@ -100,7 +109,8 @@ class ViewPipeline {
   const StereoView& StereoViewOf(std::size_t index, int width);
   const StereoView& CoarseViewOf(std::size_t index, int width);
   FinishedView FinishSlot(std::size_t index, const WantView& want, int quality_level);
-  // Slots within `reach` of `index`, on its chain, at another place; nearest first.
+  // Slots within `reach` of `index`, on its chain and linked by pictures, at another place; nearest
+  // first.
   std::vector<std::size_t> Neighbours(std::size_t index, int reach) const;
   // Those of Neighbours that a slot can be matched with: with a baseline worth it.
   std::vector<std::size_t> MatchPartners(std::size_t index, int reach) const;

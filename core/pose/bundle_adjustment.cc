@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <optional>
 
 namespace omnihdr {
 namespace {
@@ -14,7 +15,7 @@ using Eigen::Vector2d;
 using Eigen::Vector3d;
 using Matrix23 = Eigen::Matrix<double, 2, 3>;
 using Matrix26 = Eigen::Matrix<double, 2, 6>;
-using Matrix66 = Eigen::Matrix<double, 6, 6>;
+using Matrix66 = PoseCovariance;
 using Matrix63 = Eigen::Matrix<double, 6, 3>;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 
@@ -24,6 +25,8 @@ constexpr double kUnitAngle = 1.0e-3;
 constexpr double kSmallGain = 1.0e-6;
 constexpr double kFirstDamping = 1.0e-4;
 constexpr double kMostDamping = 1.0e8;
+constexpr double kHeldShare = 1.0e-6;   // sigma of a length that is held, as a share of it
+constexpr double kLeastFreedom = 10.0;  // observations beyond what they have to determine
 
 Matrix3d Skew(const Vector3d& v) {
   Matrix3d m;
@@ -102,7 +105,60 @@ class Adjuster {
     return true;
   }
 
+  std::vector<Matrix66> Covariances(const std::optional<BundleDistance>& held) const {
+    const int size = 6 * free_cameras_;
+    Normal equations;
+    if (size == 0 || !Build(0.0, &equations)) return {};
+    if (held) {
+      BundleDistance exact = *held;
+      exact.distance = Between(bundle_.cameras, exact).norm();
+      exact.sigma = kHeldShare * exact.distance;
+      AddDistance(exact, &equations.matrix, nullptr);
+    }
+    Eliminate(&equations);
+    const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(equations.matrix);
+    if (factor.info() != Eigen::Success) return {};
+    const Eigen::MatrixXd inverse = factor.solve(Eigen::MatrixXd::Identity(size, size));
+    const double variance = ResidualVariance();
+    if (!inverse.allFinite() || !(variance > 0.0)) return {};
+    // Angles count in units that are not their noise, distances in sigmas: the covariance of the
+    // estimate that was made, which is not the best one (H⁻¹ · Σ gradient · gradientᵀ · H⁻¹).
+    Eigen::MatrixXd from_distances = Eigen::MatrixXd::Zero(size, size);
+    for (const BundleDistance& distance : bundle_.distances) {
+      AddDistance(distance, &from_distances, nullptr);
+    }
+    const Eigen::MatrixXd covariance =
+        variance * inverse + (1.0 - variance) * (inverse * from_distances * inverse);
+    std::vector<Matrix66> of_cameras(bundle_.cameras.size(), Matrix66::Zero());
+    for (std::size_t c = 0; c < of_cameras.size(); ++c) {
+      if (block_[c] < 0) continue;
+      of_cameras[c] = covariance.block<6, 6>(6 * block_[c], 6 * block_[c]);
+      if (!of_cameras[c].allFinite() || !(of_cameras[c].diagonal().minCoeff() >= 0.0)) return {};
+    }
+    return of_cameras;
+  }
+
  private:
+  // Of one component of a residual, in kUnitAngle², outliers counting as they did in the
+  // adjustment; 0 when hardly more is observed than sought.
+  double ResidualVariance() const {
+    double sum = 0.0;
+    double freedom = -6.0 * free_cameras_;
+    for (std::size_t p = 0; p < bundle_.points.size(); ++p) {
+      const BundlePoint& point = bundle_.points[p];
+      if (first_[p] == first_[p + 1]) continue;
+      if (!point.fixed) freedom -= 3.0;
+      for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
+        const auto c = static_cast<std::size_t>(sights_[k].camera);
+        const Vector3d seen = RayFromPoint(bundle_.cameras[c].world_from_camera, point);
+        const double square = (sights_[k].across * seen).squaredNorm() / seen.squaredNorm();
+        sum += Weight(square) * square;
+        freedom += 2.0;
+      }
+    }
+    return freedom >= kLeastFreedom && std::isfinite(sum) ? sum / freedom : 0.0;
+  }
+
   double Loss(double square) const {
     if (square <= huber_ * huber_) return square;
     return 2.0 * huber_ * std::sqrt(square) - huber_ * huber_;
@@ -143,26 +199,40 @@ class Adjuster {
            cameras[static_cast<std::size_t>(distance.a)].world_from_camera.translation;
   }
 
-  // One damped Gauss-Newton step from bundle_, applied to the copies.
-  bool Step(double damping, std::vector<BundleCamera>* cameras, std::vector<BundlePoint>* points) {
+  // The normal equations: camera blocks and, kept for going back, what couples each sight's camera
+  // to its point.
+  struct Normal {
+    Eigen::MatrixXd matrix;
+    Eigen::VectorXd right;
+    std::vector<Matrix63> coupling;
+    std::vector<Matrix3d> point_inverse;
+    std::vector<Vector3d> point_right;
+    std::vector<std::array<Vector3d, 2>> tangents;
+  };
+
+  // At bundle_, damped; the points not yet eliminated.
+  bool Build(double damping, Normal* equations) const {
+    const std::vector<BundlePoint>& points = bundle_.points;
     const int size = 6 * free_cameras_;
-    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
+    Eigen::MatrixXd& normal = equations->matrix;
+    Eigen::VectorXd& right = equations->right;
+    normal = Eigen::MatrixXd::Zero(size, size);
+    right = Eigen::VectorXd::Zero(size);
     std::vector<Matrix3d> camera_from_world;
     for (const BundleCamera& camera : bundle_.cameras) {
       camera_from_world.push_back(camera.world_from_camera.rotation.conjugate().toRotationMatrix());
     }
 
-    // Camera blocks and, kept for going back, what couples each sight's camera to its point.
-    std::vector<Matrix63> coupling(sights_.size());
-    std::vector<Matrix3d> point_inverse(points->size());
-    std::vector<Vector3d> point_right(points->size());
-    std::vector<std::array<Vector3d, 2>> tangents(points->size());
-    for (std::size_t p = 0; p < points->size(); ++p) {
-      const BundlePoint& point = bundle_.points[p];
+    std::vector<Matrix63>& coupling = equations->coupling;
+    coupling.resize(sights_.size());
+    equations->point_inverse.resize(points.size());
+    equations->point_right.resize(points.size());
+    equations->tangents.resize(points.size());
+    for (std::size_t p = 0; p < points.size(); ++p) {
+      const BundlePoint& point = points[p];
       const Vector3d t1 = point.direction.unitOrthogonal();
       const Vector3d t2 = point.direction.cross(t1);
-      tangents[p] = {t1, t2};
+      equations->tangents[p] = {t1, t2};
       Matrix3d point_normal = Matrix3d::Zero();
       Vector3d point_gradient = Vector3d::Zero();
       for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
@@ -194,55 +264,78 @@ class Adjuster {
         right.segment<6>(6 * block).noalias() -= weight * by_camera.transpose() * residual;
         coupling[k].noalias() = weight * by_camera.transpose() * by_point;
       }
+      if (point.fixed) {
+        // Nothing to eliminate, and no way to go.
+        equations->point_inverse[p].setZero();
+        equations->point_right[p].setZero();
+        continue;
+      }
       point_normal.diagonal() *= 1.0 + damping;
       point_normal.diagonal().array() += 1e-9;
-      point_inverse[p] = point_normal.inverse();
-      point_right[p] = point_gradient;
+      equations->point_inverse[p] = point_normal.inverse();
+      equations->point_right[p] = point_gradient;
     }
-    for (const BundleDistance& distance : bundle_.distances) {
-      const Vector3d between = Between(bundle_.cameras, distance);
-      const double length = between.norm();
-      if (length < 1e-12) continue;
-      const double residual = (length - distance.distance) / distance.sigma;
-      const Vector3d slope = between / (length * distance.sigma);
-      const int a = block_[static_cast<std::size_t>(distance.a)];
-      const int b = block_[static_cast<std::size_t>(distance.b)];
-      const Matrix3d square = slope * slope.transpose();
-      if (a >= 0) {
-        normal.block<3, 3>(6 * a + 3, 6 * a + 3) += square;
-        right.segment<3>(6 * a + 3) += residual * slope;
-      }
-      if (b >= 0) {
-        normal.block<3, 3>(6 * b + 3, 6 * b + 3) += square;
-        right.segment<3>(6 * b + 3) -= residual * slope;
-      }
-      if (a >= 0 && b >= 0) {
-        normal.block<3, 3>(6 * a + 3, 6 * b + 3) -= square;
-        normal.block<3, 3>(6 * b + 3, 6 * a + 3) -= square;
-      }
-    }
+    for (const BundleDistance& distance : bundle_.distances) AddDistance(distance, &normal, &right);
     normal.diagonal() *= 1.0 + damping;
     normal.diagonal().array() += 1e-9;
+    return true;
+  }
 
-    // Eliminate the points.
-    for (std::size_t p = 0; p < points->size(); ++p) {
+  // What a distance adds to the cameras' equations; `right` may be null.
+  void AddDistance(const BundleDistance& distance, Eigen::MatrixXd* normal,
+                   Eigen::VectorXd* right) const {
+    const Vector3d between = Between(bundle_.cameras, distance);
+    const double length = between.norm();
+    if (length < 1e-12) return;
+    const double residual = (length - distance.distance) / distance.sigma;
+    const Vector3d slope = between / (length * distance.sigma);
+    const int a = block_[static_cast<std::size_t>(distance.a)];
+    const int b = block_[static_cast<std::size_t>(distance.b)];
+    const Matrix3d square = slope * slope.transpose();
+    if (a >= 0) {
+      normal->block<3, 3>(6 * a + 3, 6 * a + 3) += square;
+      if (right != nullptr) right->segment<3>(6 * a + 3) += residual * slope;
+    }
+    if (b >= 0) {
+      normal->block<3, 3>(6 * b + 3, 6 * b + 3) += square;
+      if (right != nullptr) right->segment<3>(6 * b + 3) -= residual * slope;
+    }
+    if (a >= 0 && b >= 0) {
+      normal->block<3, 3>(6 * a + 3, 6 * b + 3) -= square;
+      normal->block<3, 3>(6 * b + 3, 6 * a + 3) -= square;
+    }
+  }
+
+  // Eliminates the points: what is left are equations of the cameras, in the lower triangle.
+  void Eliminate(Normal* equations) const {
+    for (std::size_t p = 0; p + 1 < first_.size(); ++p) {
       for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
         const int row = block_[static_cast<std::size_t>(sights_[k].camera)];
         if (row < 0) continue;
-        const Matrix63 scaled = coupling[k] * point_inverse[p];
-        right.segment<6>(6 * row).noalias() -= scaled * point_right[p];
+        const Matrix63 scaled = equations->coupling[k] * equations->point_inverse[p];
+        equations->right.segment<6>(6 * row).noalias() -= scaled * equations->point_right[p];
         for (std::size_t l = first_[p]; l < first_[p + 1]; ++l) {
           const int column = block_[static_cast<std::size_t>(sights_[l].camera)];
           if (column < 0 || column > row) continue;  // the lower triangle is enough
-          normal.block<6, 6>(6 * row, 6 * column).noalias() -= scaled * coupling[l].transpose();
+          equations->matrix.block<6, 6>(6 * row, 6 * column).noalias() -=
+              scaled * equations->coupling[l].transpose();
         }
       }
     }
+  }
+
+  // One damped Gauss-Newton step from bundle_, applied to the copies.
+  bool Step(double damping, std::vector<BundleCamera>* cameras,
+            std::vector<BundlePoint>* points) const {
+    Normal equations;
+    if (!Build(damping, &equations)) return false;
+    Eliminate(&equations);
+    const int size = 6 * free_cameras_;
     Eigen::VectorXd step = Eigen::VectorXd::Zero(size);
     if (size > 0) {
-      const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(normal);
+      const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(equations.matrix);
       if (factor.info() != Eigen::Success) return false;
-      step = factor.solve(right);
+      step = factor.solve(equations.right);
       if (!step.allFinite()) return false;
     }
 
@@ -258,16 +351,17 @@ class Adjuster {
       pose.translation += step.segment<3>(6 * block_[c] + 3);
     }
     for (std::size_t p = 0; p < points->size(); ++p) {
-      if (first_[p] == first_[p + 1]) continue;
-      Vector3d gradient = point_right[p];
+      if (first_[p] == first_[p + 1] || bundle_.points[p].fixed) continue;
+      Vector3d gradient = equations.point_right[p];
       for (std::size_t k = first_[p]; k < first_[p + 1]; ++k) {
         const int block = block_[static_cast<std::size_t>(sights_[k].camera)];
-        if (block >= 0) gradient.noalias() -= coupling[k].transpose() * step.segment<6>(6 * block);
+        if (block < 0) continue;
+        gradient.noalias() -= equations.coupling[k].transpose() * step.segment<6>(6 * block);
       }
-      const Vector3d move = point_inverse[p] * gradient;
+      const Vector3d move = equations.point_inverse[p] * gradient;
       BundlePoint& point = (*points)[p];
       const Vector3d direction =
-          point.direction + move[0] * tangents[p][0] + move[1] * tangents[p][1];
+          point.direction + move[0] * equations.tangents[p][0] + move[1] * equations.tangents[p][1];
       const double length = direction.norm();
       point.direction = direction / length;
       point.inverse_distance = (point.inverse_distance + move[2]) / length;
@@ -301,6 +395,12 @@ double AngularError(const Bundle& bundle, const BundleObservation& observation) 
 
 bool AdjustBundle(const BundleOptions& options, Bundle* bundle) {
   return Adjuster(options, bundle).Run();
+}
+
+std::vector<PoseCovariance> CameraCovariances(const BundleOptions& options, const Bundle& bundle,
+                                              const std::optional<BundleDistance>& held) {
+  Bundle copy = bundle;
+  return Adjuster(options, &copy).Covariances(held);
 }
 
 }  // namespace omnihdr

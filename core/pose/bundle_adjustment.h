@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <vector>
 
 #include "core/sphere/pose.h"
@@ -19,6 +20,7 @@ struct BundlePoint {
   Eigen::Vector3d reference = Eigen::Vector3d::Zero();   // world frame; constant
   Eigen::Vector3d direction = Eigen::Vector3d::UnitX();  // world frame, unit
   double inverse_distance = 0.0;
+  bool fixed = false;  // its place is known
 };
 
 struct BundleObservation {
@@ -56,8 +58,21 @@ double AngularError(const Bundle& bundle, const BundleObservation& observation);
 
 // Moves cameras and points to the least sum of Huber-weighted squared angles (thesis 4.1) and
 // squared distance errors: Levenberg-Marquardt on the cameras, the points eliminated (Schur
-// complement; Triggs et al. 2000). Single-threaded and deterministic. At least one camera must be
-// fixed. On numerical failure everything stays where it was and the result is false.
+// complement; Triggs et al. 2000). Single-threaded and deterministic. At least one camera, or
+// the points some camera sees, must be fixed. On numerical failure everything stays where it was
+// and the result is false.
 bool AdjustBundle(const BundleOptions& options, Bundle* bundle);
+
+// Of (rotation about the camera's axes in radian, translation in the world in the bundle's unit).
+using PoseCovariance = Eigen::Matrix<double, 6, 6>;
+
+// How well an adjusted bundle's cameras are known relative to what is fixed, one for each camera
+// (zero for fixed ones): the cameras' block of the inverse of the normal equations, points
+// eliminated, scaled by the variance of the angles' residuals (Huber-weighted, per degree of
+// freedom; Triggs et al. 2000, section 9), distances by their own sigmas. `held`: the two cameras
+// whose distance, as it is, is the unit of length; needed where nothing else sets the scale. Empty
+// when the bundle does not determine it.
+std::vector<PoseCovariance> CameraCovariances(const BundleOptions& options, const Bundle& bundle,
+                                              const std::optional<BundleDistance>& held);
 
 }  // namespace omnihdr

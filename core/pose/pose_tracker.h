@@ -8,6 +8,7 @@
 
 #include "core/base/result.h"
 #include "core/photometry/measurement.h"
+#include "core/session/pose_notes.h"
 #include "core/session/session.h"
 #include "core/sphere/pose.h"
 
@@ -24,6 +25,10 @@ struct PoseOptions {
   double huber_rad = 1.0e-3;  // of the angular residual
   double min_baseline_ratio =
       0.002;  // baseline over median distance below which a pair is a pure rotation
+  // Old places remembered to be recognised, at most; 0 = none. A place is at most
+  // kMaxKeyframePoints points and takes at most 140 kB, 64 of them 9 MB.
+  int keyframes = 64;
+  double heading_sigma_deg = 0.0;  // of a compass heading, degrees; 0 = headings are ignored
   Status Validate() const;
 };
 
@@ -38,23 +43,62 @@ struct PoseEstimate {
       true;  // false: pure rotation against its neighbours, translation unknown (kept)
   double median_inverse_distance = 0.0;  // of the points seen here; 0 when none
   double max_inverse_distance = 0.0;     // 99th percentile: how near the scene comes
+  // How well the pose is known relative to the oldest poses of the window it was adjusted in, which
+  // are held (the chain's first position, or two or three older ones), from the adjustment's normal
+  // equations. None for what is known or held by definition: a given pose, a chain's first.
+  std::optional<PoseSigma> sigma;
+  // Why the pose was not found in pictures but follows from heading and odometer; empty when it was
+  // found in pictures.
+  std::string dead_reckoned;
+  // Positions of a chain that pictures link to each other; what is between two groups is dead
+  // reckoning.
+  int group = 0;
+  std::optional<Relocalisation> relocalised;
+  std::optional<LoopClosure> loop;
+  int revision = 0;  // grows when the pose is expressed in another frame than before
+};
+
+// What is known of a position beside its picture.
+struct PositionClues {
+  std::optional<double> odometer_m;   // gives metric scale
+  std::optional<Pose> prior;          // known from elsewhere: used instead of estimating
+  std::optional<double> heading_deg;  // bearing of the camera's forward axis, clockwise
+};
+
+// A remembered place as bytes, to be kept for the time after a restart.
+struct SavedKeyframe {
+  PositionId position{};
+  std::string bytes;
 };
 
 // Poses of a sequence of panoramas taken at different exposures, position by position. Features are
 // found on a log-radiance picture (saturated and masked pixels excluded), so that the same surface
 // looks the same at any exposure; linked to the last few positions by essential matrices on unit
-// rays (LO-RANSAC), and adjusted in a sliding window (angular residuals, Huber). Deterministic: the
-// same measurements give the same poses to the last bit, on any number of cores. Not thread-safe.
+// rays (LO-RANSAC), and adjusted in a sliding window (angular residuals, Huber). Places are
+// remembered, evenly over the session, as points whose distance is known: a position that cannot be
+// linked, or one of a later chain, that sees an old place again is put into that place's chain, and
+// one that comes back to a place of its own chain tells how far it had drifted and is put right.
+// Poses that have left the window never change. Time and memory for a position do not depend on how
+// many came before it. Deterministic: the same measurements give the same poses to the last bit, on
+// any number of cores. Not thread-safe.
 class PoseTracker {
  public:
   static Result<std::unique_ptr<PoseTracker>> Create(const PoseOptions& options);
   virtual ~PoseTracker() = default;
 
-  // Adds the next position and readjusts the window. `odometer_m` gives metric scale; `prior` is a
-  // pose known from elsewhere (used instead of estimating). Never fails on image content: a
-  // position that cannot be linked starts a new chain.
+  // A pose may still change while so many positions follow (other than by relocalisation of later
+  // ones); that of the position before them is what a view is made with and what is remembered.
+  static constexpr int kFinalAfter = 2;
+
+  // Adds the next position and readjusts the window. Never fails on image content: a position that
+  // cannot be linked is recognised, dead-reckoned (with heading and odometer), or starts a new
+  // chain.
   virtual void Push(PositionId position, const Measurement& measurement,
-                    std::optional<double> odometer_m, const std::optional<Pose>& prior) = 0;
+                    const PositionClues& clues) = 0;
+  void Push(PositionId position, const Measurement& measurement, std::optional<double> odometer_m,
+            const std::optional<Pose>& prior) {
+    Push(position, measurement, PositionClues{odometer_m, prior, std::nullopt});
+  }
   // Estimates of the positions in the window, oldest first, as of the last Push.
   virtual std::vector<PoseEstimate> Window() const = 0;
 
@@ -66,6 +110,13 @@ class PoseTracker {
   // After RestoreState: rebuilds what is not in the JSON (features) for one window position. One
   // that is left out (its pixels are gone) counts as a picture that shows nothing.
   virtual void Rewarm(PositionId position, const Measurement& measurement) = 0;
+
+  // The place that the last Push began to remember (kFinalAfter positions back), if any.
+  virtual const std::optional<SavedKeyframe>& NewKeyframe() const = 0;
+  // After RestoreState: the places that have to be given back with RestoreKeyframe. kData error
+  // when the bytes are not those that were saved.
+  virtual std::vector<PositionId> Keyframes() const = 0;
+  virtual Status RestoreKeyframe(const SavedKeyframe& keyframe) = 0;
 };
 
 }  // namespace omnihdr

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <string>
@@ -7,6 +8,7 @@
 #include <vector>
 
 #include "core/base/result.h"
+#include "core/pose/bundle_adjustment.h"
 #include "core/pose/pose_tracker.h"
 
 namespace omnihdr {
@@ -18,13 +20,22 @@ struct AdoptedPairs {
   std::vector<std::pair<int, int>> features;  // (of `from`, of this position)
 };
 
+// A feature that shows a point of a remembered place.
+struct Anchor {
+  int feature = 0;
+  BundlePoint point;  // in the position's chain
+};
+
 // What the tracker remembers of a position besides its features and links, which follow from its
 // pixels.
 struct TrackedPosition {
   PoseEstimate estimate;
   std::optional<double> odometer_m;
-  bool given = false;  // the pose came from elsewhere and stays
+  std::optional<double> heading_deg;
+  bool given = false;        // the pose came from elsewhere and stays
+  std::int64_t ordinal = 0;  // how many positions came before
   std::vector<AdoptedPairs> adopted;
+  std::vector<Anchor> anchors;  // ascending by feature
 };
 
 // What positions of one chain have in common.
@@ -37,12 +48,26 @@ struct Chain {
   // `scaled`.
   PositionId unit_from{};
   PositionId unit_to{};
+  double path = 0.0;  // sum of the steps from position to position
+};
+
+// A remembered place, without its content.
+struct KeyframeEntry {
+  PositionId position{};
+  std::int64_t ordinal = 0;
+  int chain = 0;
+  std::uint32_t crc = 0;  // CRC-32C of its bytes
 };
 
 struct TrackerState {
   std::vector<TrackedPosition> window;  // oldest first
-  std::map<int, Chain> chains;          // those of positions in the window
+  std::map<int, Chain> chains;          // those of positions in the window and of keyframes
   int next_chain = 0;
+  int next_group = 0;
+  int revision = 0;
+  std::int64_t pushed = 0;               // positions so far
+  std::int64_t spacing = 1;              // every so-many-th position is remembered
+  std::vector<KeyframeEntry> keyframes;  // ascending by ordinal
 };
 
 // JSON text; numbers survive the round trip exactly.

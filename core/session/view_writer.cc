@@ -183,6 +183,71 @@ Result<ViewRecord> ReadRecordFile(const fs::path& path, PositionId position) {
   return record;
 }
 
+Json VectorJson(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
+
+Result<Eigen::Vector3d> ReadSigma(const ObjectReader& pose, std::string_view key) {
+  constexpr std::string_view kExpected = "three numbers of at least 0 [x, y, z]";
+  OMNIHDR_ASSIGN(const Json* array, pose.Array(key, kExpected));
+  Eigen::Vector3d sigma;
+  if (array->size() != 3) return pose.Wrong(key, kExpected);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const std::optional<double> number = json::FiniteNumber((*array)[i]);
+    if (!number || *number < 0.0) return pose.Wrong(key, kExpected);
+    sigma[static_cast<Eigen::Index>(i)] = *number;
+  }
+  return sigma;
+}
+
+Result<PositionId> ReadPosition(const ObjectReader& object, std::string_view key) {
+  OMNIHDR_ASSIGN(const std::int64_t position,
+                 object.Integer(key, 0, limits::kMaxPosition, "a whole number in [0, 999999999]"));
+  return PositionId{position};
+}
+
+Result<int> ReadCount(const ObjectReader& object, std::string_view key) {
+  OMNIHDR_ASSIGN(const std::int64_t count,
+                 object.Integer(key, 0, INT32_MAX, "a whole number in [0, 2147483647]"));
+  return static_cast<int>(count);
+}
+
+// The additive keys that say more of the pose.
+Status ReadPoseNotes(const ObjectReader& view, ViewRecord* record) {
+  OMNIHDR_ASSIGN(const ObjectReader pose, view.Object("pose"));
+  if (pose.Has("sigma_rotation_deg") || pose.Has("sigma_t")) {
+    PoseSigma sigma;
+    OMNIHDR_ASSIGN(sigma.rotation_deg, ReadSigma(pose, "sigma_rotation_deg"));
+    OMNIHDR_ASSIGN(sigma.translation, ReadSigma(pose, "sigma_t"));
+    record->sigma = sigma;
+  }
+  OMNIHDR_ASSIGN(record->dead_reckoned, view.StringOr("dead_reckoned", ""));
+  if (view.Has("relocalised")) {
+    OMNIHDR_ASSIGN(const ObjectReader object, view.Object("relocalised"));
+    Relocalisation relocalised;
+    OMNIHDR_ASSIGN(relocalised.place, ReadPosition(object, "place"));
+    OMNIHDR_ASSIGN(relocalised.seen_from, ReadPosition(object, "seen_from"));
+    OMNIHDR_ASSIGN(relocalised.from_chain, ReadCount(object, "from_chain"));
+    OMNIHDR_ASSIGN(relocalised.matches, ReadCount(object, "matches"));
+    record->relocalised = relocalised;
+  }
+  if (view.Has("loop")) {
+    OMNIHDR_ASSIGN(const ObjectReader object, view.Object("loop"));
+    constexpr double kHuge = std::numeric_limits<double>::max();
+    constexpr std::string_view kExpected = "a number of at least 0";
+    LoopClosure loop;
+    OMNIHDR_ASSIGN(loop.place, ReadPosition(object, "place"));
+    OMNIHDR_ASSIGN(loop.seen_from, ReadPosition(object, "seen_from"));
+    OMNIHDR_ASSIGN(loop.matches, ReadCount(object, "matches"));
+    OMNIHDR_ASSIGN(loop.drift_rotation_deg,
+                   object.Number("drift_rotation_deg", 0.0, kHuge, kExpected));
+    OMNIHDR_ASSIGN(loop.drift_translation,
+                   object.Number("drift_translation", 0.0, kHuge, kExpected));
+    OMNIHDR_ASSIGN(loop.drift_scale, object.Number("drift_scale", 0.0, kHuge, kExpected));
+    OMNIHDR_ASSIGN(loop.corrected, object.BoolOr("corrected", false));
+    record->loop = loop;
+  }
+  return {};
+}
+
 constexpr std::string_view kFrameNumber = "a whole number in [0, 999999999999]";
 
 }  // namespace
@@ -190,10 +255,35 @@ constexpr std::string_view kFrameNumber = "a whole number in [0, 999999999999]";
 std::string FormatViewRecord(const ViewRecord& record) {
   ObjectWriter view(true);
   view.Add("position", Value(record.position));
-  view.AddObject("pose", json::PoseObject(record.pose));
+  ObjectWriter pose = json::PoseObject(record.pose);
+  if (record.sigma) {
+    pose.Add("sigma_rotation_deg", VectorJson(record.sigma->rotation_deg));
+    pose.Add("sigma_t", VectorJson(record.sigma->translation));
+  }
+  view.AddObject("pose", std::move(pose));
   view.Add("scale", record.metric_scale ? "metric" : "relative");
   view.Add("chain", record.chain);
   if (!record.chain_reason.empty()) view.Add("chain_reason", record.chain_reason);
+  if (!record.dead_reckoned.empty()) view.Add("dead_reckoned", record.dead_reckoned);
+  if (record.relocalised) {
+    ObjectWriter relocalised;
+    relocalised.Add("place", Value(record.relocalised->place))
+        .Add("seen_from", Value(record.relocalised->seen_from))
+        .Add("from_chain", record.relocalised->from_chain)
+        .Add("matches", record.relocalised->matches);
+    view.AddObject("relocalised", std::move(relocalised));
+  }
+  if (record.loop) {
+    ObjectWriter loop;
+    loop.Add("place", Value(record.loop->place))
+        .Add("seen_from", Value(record.loop->seen_from))
+        .Add("matches", record.loop->matches)
+        .Add("drift_rotation_deg", record.loop->drift_rotation_deg)
+        .Add("drift_translation", record.loop->drift_translation)
+        .Add("drift_scale", record.loop->drift_scale)
+        .Add("corrected", record.loop->corrected);
+    view.AddObject("loop", std::move(loop));
+  }
   view.Add("orientation", json::QuaternionJson(record.orientation));
   view.Add("frames", record.frames);
   view.Add("reference", record.reference);
@@ -231,6 +321,7 @@ Result<ViewRecord> ParseViewRecord(std::string_view text, const std::string& nam
                  view.IntegerOr("chain", 0, 0, INT32_MAX, "a whole number in [0, 2147483647]"));
   record.chain = static_cast<int>(chain);
   OMNIHDR_ASSIGN(record.chain_reason, view.StringOr("chain_reason", ""));
+  OMNIHDR_TRY(ReadPoseNotes(view, &record));
   OMNIHDR_ASSIGN(record.orientation, view.Quaternion("orientation"));
   constexpr std::string_view kFrames = "an array of frame numbers";
   OMNIHDR_ASSIGN(const Json* frames, view.Array("frames", kFrames));

@@ -4,10 +4,12 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "core/base/result.h"
+#include "core/session/pose_notes.h"
 #include "core/session/session.h"
 
 namespace omnihdr {
@@ -19,6 +21,11 @@ struct ViewRecord {
   bool metric_scale = false;  // scale: "metric" or "relative"
   int chain = 0;              // positions of different chains have no common world; additive key
   std::string chain_reason;   // why a new chain began here, empty when it did not
+  // Additive keys: of the pose, and beside it.
+  std::optional<PoseSigma> sigma;
+  std::string dead_reckoned;  // why heading and odometer had to give the pose, empty else
+  std::optional<Relocalisation> relocalised;
+  std::optional<LoopClosure> loop;
   // camera_from_output of the written panoramas.
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
   std::vector<std::uint64_t> frames;  // journal numbers of the frames that contributed

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "core/image/image_io.h"
 #include "core/pipeline/session_processor.h"
 #include "core/pipeline/view_pipeline.h"
 #include "core/session/view_writer.h"
@@ -94,6 +95,99 @@ TEST_P(Resume, ASavedStateThatIsDamagedIsNotUsed) {
     const std::string name = fmt::format("{}/{}", last, file);
     EXPECT_TRUE(whole_.at(name) == now.at(name)) << name;
   }
+}
+
+// A drive that goes blind, is put back near its start, and knows the place again.
+class ResumeLost : public ::testing::Test {
+ protected:
+  static constexpr int kBefore = 10;
+  static constexpr int kBlind = 4;
+  static constexpr int kAll = 26;
+
+  static testing::SessionPlan Plan() {
+    testing::SessionPlan plan = LongPlan();
+    const std::vector<Pose> way = testing::GentleBend(kAll, 0.15);
+    plan.poses.assign(way.begin(), way.begin() + kBefore + kBlind);
+    for (int k = 0; k < kAll - kBefore - kBlind; ++k) {
+      Pose pose = way[static_cast<std::size_t>(k)];
+      pose.translation += Eigen::Vector3d(0.05, 0.04, 0.02);
+      plan.poses.push_back(pose);
+    }
+    return plan;
+  }
+  static PipelineOptions Options() {
+    PipelineOptions options = testing::QuickOptions();
+    options.output_width = 128;
+    return options;
+  }
+  void SetUp() override {
+    static const std::vector<std::vector<std::byte>> frames = [] {
+      std::vector<std::vector<std::byte>> rendered = testing::RenderFrames(Plan());
+      const Image<std::uint8_t> grey(320, 160, 3, 90);
+      for (int k = kBefore; k < kBefore + kBlind; ++k) {
+        rendered[static_cast<std::size_t>(k)] = *EncodePng(grey.view());
+      }
+      return rendered;
+    }();
+    testing::WriteSession(session_.path(), Plan(), frames);
+    const Processed done = ProcessAll(session_.path(), {}, Options());
+    ASSERT_EQ(done.counts.views_written, kAll);
+    whole_ = ViewBytes(session_.path());
+  }
+  ViewRecord Record(int position) const {
+    return *ReadViewRecord(session_.path() / "views", PositionId{position});
+  }
+  void Lose(int count) const {
+    for (int k = kAll - count; k < kAll; ++k) {
+      fs::remove_all(session_.path() / "views" / ViewDirectoryName(PositionId{k}));
+    }
+  }
+
+  TemporaryDirectory session_;
+  std::map<std::string, std::string> whole_;
+};
+
+TEST_F(ResumeLost, TheViewsSayWhereTheTrackWasLostAndWhatWasRecognised) {
+  EXPECT_NE(Record(kBefore).chain, 0);
+  EXPECT_NE(Record(kBefore).chain_reason, "");
+  const ViewRecord back = Record(kBefore + kBlind);
+  EXPECT_EQ(back.chain, 0);
+  EXPECT_TRUE(back.metric_scale);
+  ASSERT_TRUE(back.relocalised);
+  EXPECT_LT(Value(back.relocalised->place), kBefore);
+  EXPECT_EQ(back.relocalised->from_chain, Record(kBefore + kBlind - 1).chain);
+  ASSERT_FALSE(back.warnings.empty());
+  EXPECT_NE(back.warnings.back().find("was recognised from position"), std::string::npos);
+  const Pose first = Plan().poses.front();
+  for (int k = kBefore + kBlind; k < kAll; ++k) {
+    const ViewRecord view = Record(k);
+    EXPECT_EQ(view.chain, 0);
+    EXPECT_TRUE(view.sigma) << k;
+    const Pose truth = first.Inverse() * Plan().poses[static_cast<std::size_t>(k)];
+    EXPECT_LT((view.pose.translation - truth.translation).norm(), 0.1) << k;
+    EXPECT_LT(view.pose.rotation.angularDistance(truth.rotation), 0.02) << k;
+  }
+}
+
+TEST_F(ResumeLost, ContinuedAfterwardsGivesTheSameBytes) {
+  for (const int lost : {1, 7}) {
+    Lose(lost);
+    const Processed resumed = ProcessAll(session_.path(), {}, Options());
+    EXPECT_EQ(resumed.counts.views_written, lost);
+    EXPECT_LT(resumed.counts.positions_seen, kAll) << "from a saved state";
+    EXPECT_TRUE(SameBytes(whole_, ViewBytes(session_.path()))) << "after losing " << lost;
+  }
+}
+
+TEST_F(ResumeLost, WithoutWhatAPlaceIsRecognisedByItStartsAnewAndPutsItBack) {
+  const fs::path keyframe =
+      session_.path() / "views" / ViewDirectoryName(PositionId{2}) / "keyframe.bin";
+  ASSERT_TRUE(fs::remove(keyframe));
+  Lose(1);
+  const Processed resumed = ProcessAll(session_.path(), {}, Options());
+  EXPECT_TRUE(resumed.said.Warned("keyframe.bin"));
+  EXPECT_EQ(resumed.counts.positions_seen, kAll);
+  EXPECT_TRUE(SameBytes(whole_, ViewBytes(session_.path())));
 }
 
 INSTANTIATE_TEST_SUITE_P(Neighbours, Resume, ::testing::Values(1, 2));

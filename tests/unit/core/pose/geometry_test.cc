@@ -4,6 +4,8 @@
 
 #include <cmath>
 #include <random>
+#include <utility>
+#include <vector>
 
 #include "core/pose/bundle_adjustment.h"
 #include "core/pose/relative_pose.h"
@@ -389,6 +391,108 @@ TEST(BundleAdjustment, FixedCamerasStayToTheLastBit) {
   EXPECT_LT(
       (scene.bundle.cameras[5].world_from_camera.translation - scene.truth[5].translation).norm(),
       5e-3);
+}
+
+// Normalised squared errors of the free cameras (6 degrees of freedom each), over many noises.
+struct SquaredErrors {
+  double sum = 0.0;
+  int cameras = 0;
+  void Add(const Bundle& bundle, const std::vector<Pose>& truth,
+           const std::vector<PoseCovariance>& covariances, std::size_t first) {
+    ASSERT_EQ(covariances.size(), truth.size());
+    for (std::size_t c = first; c < truth.size(); ++c) {
+      const Pose& found = bundle.cameras[c].world_from_camera;
+      const Eigen::AngleAxisd turn(truth[c].rotation.conjugate() * found.rotation);
+      Eigen::Matrix<double, 6, 1> error;
+      error << turn.angle() * turn.axis(), found.translation - truth[c].translation;
+      sum += error.dot(covariances[c].ldlt().solve(error));
+      ++cameras;
+    }
+  }
+  double Mean() const { return sum / cameras; }
+};
+
+TEST(BundleCovariance, ErrorsSpreadAsItSaysWhateverTheNoiseOfRaysAndDistances) {
+  // The angles' noise is a tenth and twice the unit they are weighted in.
+  for (const auto& [ray_sigma, length_sigma] :
+       {std::pair(1e-4, 3e-3), std::pair(4e-4, 1e-3), std::pair(2e-3, 5e-3)}) {
+    SquaredErrors errors;
+    for (std::uint32_t seed = 1; seed <= 60; ++seed) {
+      World world(seed);
+      Scene scene = MakeScene(world, ray_sigma);
+      for (int c = 1; c < 6; ++c) {
+        const double length = (scene.truth[static_cast<std::size_t>(c)].translation -
+                               scene.truth[static_cast<std::size_t>(c - 1)].translation)
+                                  .norm();
+        const double told = length + length_sigma * world.Normal();
+        scene.bundle.distances.push_back({c - 1, c, told, length_sigma});
+      }
+      const BundleOptions options{20e-3, 30};
+      ASSERT_TRUE(AdjustBundle(options, &scene.bundle));
+      errors.Add(scene.bundle, scene.truth, CameraCovariances(options, scene.bundle, {}), 1);
+    }
+    EXPECT_NEAR(errors.Mean(), 6.0, 0.9) << ray_sigma << ", " << length_sigma;
+  }
+}
+
+TEST(BundleCovariance, ABaselineCanBeTheUnitOfLength) {
+  SquaredErrors errors;
+  for (std::uint32_t seed = 1; seed <= 60; ++seed) {
+    World world(seed);
+    Scene scene = MakeScene(world, 3e-4);
+    const BundleOptions options{20e-3, 30};
+    ASSERT_TRUE(AdjustBundle(options, &scene.bundle));
+    const Vector3d origin = scene.truth[0].translation;
+    const auto length = [&](const Pose& pose) { return (pose.translation - origin).norm(); };
+    const double scale = length(scene.truth[1]) / length(scene.bundle.cameras[1].world_from_camera);
+    std::vector<PoseCovariance> covariances =
+        CameraCovariances(options, scene.bundle, BundleDistance{0, 1, 1.0, 1.0});
+    ASSERT_EQ(covariances.size(), 6U);
+    // Camera 1 cannot be wrong along the baseline.
+    const Vector3d along =
+        (scene.bundle.cameras[1].world_from_camera.translation - origin).normalized();
+    EXPECT_LT(along.dot(covariances[1].bottomRightCorner<3, 3>() * along), 1e-11);
+    for (std::size_t c = 1; c < 6; ++c) {
+      Vector3d& t = scene.bundle.cameras[c].world_from_camera.translation;
+      t = origin + scale * (t - origin);
+      covariances[c].bottomRows<3>() *= scale;
+      covariances[c].rightCols<3>() *= scale;
+    }
+    errors.Add(scene.bundle, scene.truth, covariances, 2);
+  }
+  EXPECT_NEAR(errors.Mean(), 6.0, 0.9);
+}
+
+TEST(BundleCovariance, FixedPointsHoldTheFrameAndTooFewRaysSayNothing) {
+  SquaredErrors errors;
+  for (std::uint32_t seed = 1; seed <= 60; ++seed) {
+    World world(seed);
+    Scene scene = MakeScene(world, 3e-4);
+    // Known exactly; no camera is held.
+    scene.bundle.cameras[0].fixed = false;
+    for (std::size_t p = 0; p < scene.bundle.points.size(); ++p) {
+      if (p % 3 != 0 || p % 10 == 0) continue;
+      BundlePoint& point = scene.bundle.points[p];
+      for (BundleObservation& o : scene.bundle.observations) {
+        if (o.point != static_cast<int>(p)) continue;
+        const Pose& pose = scene.truth[static_cast<std::size_t>(o.camera)];
+        o.ray = world.Noisy(RayFromPoint(pose, point), 3e-4);
+      }
+      point.fixed = true;
+    }
+    const Bundle before = scene.bundle;
+    const BundleOptions options{20e-3, 30};
+    ASSERT_TRUE(AdjustBundle(options, &scene.bundle));
+    EXPECT_EQ(scene.bundle.points[3].direction, before.points[3].direction);
+    EXPECT_NE(scene.bundle.points[1].direction, before.points[1].direction);
+    errors.Add(scene.bundle, scene.truth, CameraCovariances(options, scene.bundle, {}), 0);
+  }
+  EXPECT_NEAR(errors.Mean(), 6.0, 0.9);
+
+  World world(3);
+  Scene scene = MakeScene(world, 3e-4);
+  scene.bundle.observations.resize(20);
+  EXPECT_TRUE(CameraCovariances({1e-3, 30}, scene.bundle, {}).empty());
 }
 
 TEST(BundleAdjustment, AFewWildRaysHardlyMatter) {

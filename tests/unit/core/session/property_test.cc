@@ -208,6 +208,25 @@ RC_GTEST_PROP(SessionProperty, AViewRecordReadsBackExactlyAsWritten, ()) {
   written.metric_scale = Coin();
   written.chain = static_cast<int>(AnyInteger(0, 1000));
   written.chain_reason = AnyText();
+  if (Coin()) {
+    written.sigma = PoseSigma{{AnyDouble(0, 9), AnyDouble(0, 9), AnyDouble(0, 9)},
+                              {AnyDouble(0, 9), AnyDouble(0, 9), AnyDouble(0, 9)}};
+  }
+  written.dead_reckoned = AnyText();
+  if (Coin()) {
+    written.relocalised = Relocalisation{
+        PositionId{AnyInteger(0, 1'000'000'000)}, PositionId{AnyInteger(0, 1'000'000'000)},
+        static_cast<int>(AnyInteger(0, 1000)), static_cast<int>(AnyInteger(0, 400))};
+  }
+  if (Coin()) {
+    written.loop = LoopClosure{PositionId{AnyInteger(0, 1'000'000'000)},
+                               PositionId{AnyInteger(0, 1'000'000'000)},
+                               static_cast<int>(AnyInteger(0, 400)),
+                               AnyDouble(0, 180),
+                               AnyDouble(0, 1e6),
+                               AnyDouble(0, 10),
+                               Coin()};
+  }
   written.orientation = AnyRotation();
   const std::int64_t count = AnyInteger(0, 9);
   for (std::int64_t i = 0; i < count; ++i) {
@@ -230,6 +249,19 @@ RC_GTEST_PROP(SessionProperty, AViewRecordReadsBackExactlyAsWritten, ()) {
   RC_ASSERT(read->metric_scale == written.metric_scale);
   RC_ASSERT(read->chain == written.chain);
   RC_ASSERT(read->chain_reason == written.chain_reason);
+  RC_ASSERT(read->sigma.has_value() == written.sigma.has_value());
+  if (written.sigma) {
+    RC_ASSERT(read->sigma->rotation_deg == written.sigma->rotation_deg);
+    RC_ASSERT(read->sigma->translation == written.sigma->translation);
+  }
+  RC_ASSERT(read->dead_reckoned == written.dead_reckoned);
+  RC_ASSERT(read->relocalised.has_value() == written.relocalised.has_value());
+  if (written.relocalised) RC_ASSERT(read->relocalised->place == written.relocalised->place);
+  RC_ASSERT(read->loop.has_value() == written.loop.has_value());
+  if (written.loop) {
+    RC_ASSERT(read->loop->drift_translation == written.loop->drift_translation);
+    RC_ASSERT(read->loop->corrected == written.loop->corrected);
+  }
   RC_ASSERT(read->orientation.coeffs() == written.orientation.coeffs());
   RC_ASSERT(read->frames == written.frames);
   RC_ASSERT(read->reference == written.reference);
