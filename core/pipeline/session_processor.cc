@@ -185,16 +185,15 @@ class SessionProcessorImpl final : public SessionProcessor {
 
   // The level for the view that the next push finishes.
   int NextQualityLevel() {
-    int waiting = 0;
+    if (how_.overload.overload == Overload::kBacklog) return 0;
+    int waiting = -1;  // beside the one that is taken now
     for (const auto& [position, frames] : pending_) {
       if (!complete_.contains(position)) ++waiting;
-      if (waiting > how_.overload.backlog_limit) break;
     }
+    waiting = std::max(waiting, 0);
     const int before = governor_.level();
-    const int level = governor_.Next(std::max(0, waiting - 1));
-    if (level != before && callbacks_.quality_changed) {
-      callbacks_.quality_changed(level, static_cast<int>(pending_.size()) - 1);
-    }
+    const int level = governor_.Next(waiting);
+    if (level != before && callbacks_.quality_changed) callbacks_.quality_changed(level, waiting);
     return level;
   }
 

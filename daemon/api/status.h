@@ -38,7 +38,7 @@ struct StatusReport {
   std::uint64_t views_finished = 0;       // on disk
   std::int64_t backlog = 0;               // positions with pixels whose view is not on disk
   int quality_level = 0;                  // of the next view; 0 = full
-  std::string quality = "full";           // in words
+  std::string quality;                    // in words
   std::uint64_t views_reduced = 0;        // of those on disk, made at a level above 0
   std::optional<std::int64_t> last_view;  // position
   std::string views_error;                // what keeps the pipeline from working

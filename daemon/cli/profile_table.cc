@@ -41,7 +41,7 @@ std::string ProfileTable(const Profile::Report& report, int views) {
     line(part.is_task ? fmt::format("  of it {}", part.name) : std::string(part.name), part, false);
   }
   line("elsewhere", Elsewhere(report), false);
-  line("all", {.wall_s = report.wall_s, .cpu_s = report.cpu_s}, true);
+  line("all", {.name = "all", .wall_s = report.wall_s, .cpu_s = report.cpu_s}, true);
   return text;
 }
 

@@ -71,7 +71,7 @@ TEST(ViewRecord, TellsItsQualityAndOneThatDoesNotIsFull) {
   EXPECT_EQ(view->quality_level, 2);
   EXPECT_EQ(view->quality, "less of it");
   std::string old = FormatViewRecord(test::SampleView(3));
-  const std::string key = "\"quality_level\": 0,";
+  const std::string key = ",\n \"quality_level\": 0";
   ASSERT_NE(old.find(key), std::string::npos) << old;
   old.erase(old.find(key), key.size());
   // As written by a version that knew nothing of it.

@@ -27,6 +27,7 @@ StatusReport Busy() {
   s.lines.Add(FrameStatus::kCameraTimeout);
   s.views_finished = 8;
   s.backlog = 2;
+  s.quality = "full";
   s.last_view = 9;
   s.bracket_steps = 3;
   s.bracket_order = "sawtooth";
