@@ -2,14 +2,13 @@
 
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
-#include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <cmath>
 #include <thread>
 #include <utility>
+
+#include "core/base/background.h"
 
 // The daemon's threads beside the main loop: camera, recorder, pipeline.
 namespace omnihdr {
@@ -49,9 +48,6 @@ std::string Difference(const CameraDescription& session, const CameraDescription
   }
   return {};
 }
-
-// The lowest priority for the calling thread and, as they inherit it, the workers it starts.
-void LowerPriority() { ::setpriority(PRIO_PROCESS, static_cast<id_t>(::syscall(SYS_gettid)), 19); }
 
 void Rest(std::stop_token stop, Nanoseconds time) {
   std::mutex mutex;
@@ -278,7 +274,7 @@ Status App::FinishViews(SessionProcessor* processor) {
 }
 
 Status App::RunPipeline(std::stop_token stop, Stage& self) {
-  LowerPriority();
+  const BackgroundThread background;  // capture goes first
   const std::shared_ptr<Session> session = this->session();
   std::unique_ptr<SessionProcessor> processor;
   Nanoseconds retry = kViewsFirstRetry;

@@ -2,9 +2,14 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sched.h>
+#include <sys/resource.h>
 
 #include <condition_variable>
 #include <deque>
+#include <filesystem>
+#include <fstream>
+#include <map>
 #include <thread>
 
 #include "core/session/session_reader.h"
@@ -343,6 +348,26 @@ TEST_F(AppTest, TheEventsTellTheWholeStory) {
   for (const char* kind : {"status", "trigger", "frame", "state", "session"}) {
     EXPECT_NE(std::find(kinds.begin(), kinds.end(), kind), kinds.end()) << kind;
   }
+}
+
+TEST_F(AppTest, ViewsAreMadeAtTheLowestPriorityAndCaptureIsNot) {
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  std::map<std::string, std::pair<int, int>> threads;  // name: nice value, policy
+  for (const auto& task : std::filesystem::directory_iterator("/proc/self/task")) {
+    std::string name;
+    std::getline(std::ifstream(task.path() / "comm"), name);
+    const int id = std::stoi(task.path().filename().string());
+    threads[name] = {::getpriority(PRIO_PROCESS, static_cast<id_t>(id)), ::sched_getscheduler(id)};
+  }
+  const int usual = ::getpriority(PRIO_PROCESS, 0);
+  ASSERT_TRUE(threads.contains("pipeline") && threads.contains("camera") &&
+              threads.contains("recorder"));
+  EXPECT_EQ(threads["pipeline"], (std::pair{19, SCHED_BATCH}));
+  EXPECT_EQ(threads["camera"], (std::pair{usual, SCHED_OTHER}));
+  EXPECT_EQ(threads["recorder"], (std::pair{usual, SCHED_OTHER}));
 }
 
 TEST_F(AppTest, ManyClientsAtOnceAreServed) {
