@@ -23,9 +23,11 @@ constexpr int kLeastRatios = 20;  // distances compared to get from one unit to 
 // A place is seen well from within this share of the distance of what is seen there.
 constexpr double kReach = 0.5;
 constexpr double kDriftAllowed = 0.02;  // of the way since
-// Less drift than this is left alone: it is no more than what a recognition is worth.
-constexpr double kLeastDriftDeg = 0.1;
-constexpr double kLeastDriftShare = 0.01;  // of the distance of what is seen
+// Less drift than this is told but left alone: a recognition, of a picture of another exposure taken
+// some way from the place, has errors of its own.
+constexpr double kLeastDriftDeg = 0.5;
+constexpr double kLeastDriftShare = 0.03;  // of the distance of what is seen
+constexpr double kLeastDriftScale = 0.08;  // ratio of units, less 1
 
 double Median(std::vector<double>* values) {
   const auto middle = values->begin() + static_cast<std::ptrdiff_t>(values->size() / 2);
@@ -194,7 +196,7 @@ void Tracker::SeeOldPlaces(const std::vector<Track>& tracks) {
   const auto found = Recognise(place, static_cast<std::uint64_t>(Value(e.position)),
                                evidence_.back().features, options_);
   if (!found || found->pairs.size() < kLeastToMove) return;
-  const auto scale = ScaleOf(place, *found, tracks);
+  auto scale = ScaleOf(place, *found, tracks);
   const int from_chain = e.chain;
   const int matches = static_cast<int>(found->pairs.size());
   std::optional<Relocalisation> relocalised;
@@ -213,8 +215,9 @@ void Tracker::SeeOldPlaces(const std::vector<Track>& tracks) {
     loop->corrected =
         scale && (loop->drift_rotation_deg > kLeastDriftDeg ||
                   loop->drift_translation * place.median_inverse_distance > kLeastDriftShare ||
-                  std::fabs(*scale - 1.0) > kLeastDriftShare);
+                  std::fabs(*scale - 1.0) > kLeastDriftScale);
     e.loop = loop;
+    if (scale && std::fabs(*scale - 1.0) <= kLeastDriftScale) scale = 1.0;
     if (!loop->corrected) return;
   }
   Reexpress(from_chain, place.chain, Pose(e.world_from_camera), found->world_from_camera, *scale);

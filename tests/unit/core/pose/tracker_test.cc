@@ -354,6 +354,50 @@ TEST(Keyframes, BytesReadBackAndTornOrForeignOnesAreRefused) {
   }
 }
 
+TEST(TrackerOldPlaces, WhatTheOdometerAddsUpRoundALoopIsToldAndPutRight) {
+  const FeatureWorld world = Garden();
+  Tracker tracker{PoseOptions{}};
+  constexpr double kStep = 0.4;
+  std::optional<LoopClosure> corrected;
+  std::map<int, PoseEstimate> final_of;
+  double worst_after = 0.0;
+  for (int i = 0; i < 170; ++i) {
+    const double way = kStep * i;
+    // Wheels that slip more and more.
+    tracker.Push(PositionId{i}, world.See(OnCircle(way), static_cast<std::uint32_t>(i)),
+                 Odometer(way * (1.0 + 0.002 * way)));
+    const auto window = tracker.Window();
+    const PoseEstimate& e = window.back();
+    ASSERT_EQ(e.chain, 0);
+    if (window.size() >= 3) final_of[i - 2] = window[window.size() - 3];
+    const double error =
+        (e.world_from_camera.translation - Relative(OnCircle(0.0), OnCircle(way)).translation)
+            .norm();
+    if (e.loop && e.loop->corrected && !corrected) {
+      corrected = e.loop;
+      std::printf(
+          "at position %d: place %d with %d points, drift %.2f m, %.2f degrees; now %.3f m\n", i,
+          static_cast<int>(Value(e.loop->place)), e.loop->matches, e.loop->drift_translation,
+          e.loop->drift_rotation_deg, error);
+    }
+    if (corrected) worst_after = std::max(worst_after, error);
+  }
+  ASSERT_TRUE(corrected);
+  EXPECT_GT(corrected->drift_translation, 0.5);
+  EXPECT_LT(worst_after, 0.5 * corrected->drift_translation);
+  // The step is before the first view that was not yet made, and that view says so.
+  const int seam = static_cast<int>(Value(corrected->seen_from)) - 2;
+  EXPECT_FALSE(final_of.at(seam - 1).loop && final_of.at(seam - 1).loop->corrected);
+  for (const int i : {seam, seam + 1, seam + 2}) {
+    ASSERT_TRUE(final_of.at(i).loop) << i;
+    EXPECT_TRUE(final_of.at(i).loop->corrected) << i;
+  }
+  const double step = (final_of.at(seam).world_from_camera.translation -
+                       final_of.at(seam - 1).world_from_camera.translation)
+                          .norm();
+  EXPECT_GT(step, 0.3);
+}
+
 // --- A long drive ---
 
 TEST(TrackerLongDrive, RoundAndRoundTheChainHoldsDriftIsPutRightAndNothingGrows) {
