@@ -145,26 +145,6 @@ Range BracketRange(const SessionContents& contents) {
   return range;
 }
 
-RadianceScore Score(ImageView<const float> tested, ImageView<const float> truth,
-                    ImageView<const float> truth_luminance, const ComparisonArea& area) {
-  RadianceScore score;
-  score.errors = CompareRadiance(tested, truth, area);
-  Image<float> scaled(tested.width(), tested.height(), 3);
-  for (int y = 0; y < tested.height(); ++y) {
-    for (int x = 0; x < tested.width(); ++x) {
-      for (int c = 0; c < 3; ++c) {
-        scaled.at(x, y, c) = tested.at(x, y, c) * static_cast<float>(score.errors.scale);
-      }
-    }
-  }
-  const ReinhardParameters parameters = ReinhardParametersOf(truth_luminance, area);
-  const double white = parameters.white * parameters.log_average / 0.18;
-  score.psnr_mu = PsnrMu(scaled, truth, white, area);
-  score.ssim = Ssim(ReinhardDisplay(LuminanceOf(scaled), parameters),
-                    ReinhardDisplay(truth_luminance, parameters), 1.0, area, /*wraps=*/true);
-  return score;
-}
-
 bool Known(const float* rgb) {
   return std::isfinite(rgb[0]) && std::isfinite(rgb[1]) && std::isfinite(rgb[2]);
 }
@@ -203,12 +183,11 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
   }
   score.covered = wanted > 0.0 ? have / wanted : 0.0;
   area.mask = compared.view();
-  const Image<float> truth_luminance = LuminanceOf(truth.radiance);
   const std::array<ImageView<const float>, 2> tested = {view.radiance, own};
   std::array<RadianceScore, 2> scores;
   ParallelFor(2, 1, [&](int begin, int end) {
     for (auto i = static_cast<std::size_t>(begin); i < static_cast<std::size_t>(end); ++i) {
-      scores[i] = Score(tested[i], truth.radiance, truth_luminance, area);
+      scores[i] = ScoreRadiance(tested[i], truth.radiance, area);
     }
   });
   score.view = scores[0];
@@ -277,6 +256,27 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
 }
 
 }  // namespace
+
+RadianceScore ScoreRadiance(ImageView<const float> tested, ImageView<const float> truth,
+                            const ComparisonArea& area) {
+  const Image<float> truth_luminance = LuminanceOf(truth);
+  RadianceScore score;
+  score.errors = CompareRadiance(tested, truth, area);
+  Image<float> scaled(tested.width(), tested.height(), 3);
+  for (int y = 0; y < tested.height(); ++y) {
+    for (int x = 0; x < tested.width(); ++x) {
+      for (int c = 0; c < 3; ++c) {
+        scaled.at(x, y, c) = tested.at(x, y, c) * static_cast<float>(score.errors.scale);
+      }
+    }
+  }
+  const ReinhardParameters parameters = ReinhardParametersOf(truth_luminance, area);
+  const double white = parameters.white * parameters.log_average / 0.18;
+  score.psnr_mu = PsnrMu(scaled, truth, white, area);
+  score.ssim = Ssim(ReinhardDisplay(LuminanceOf(scaled), parameters),
+                    ReinhardDisplay(truth_luminance, parameters), 1.0, area, /*wraps=*/true);
+  return score;
+}
 
 Result<SessionScore> EvaluateSession(const std::filesystem::path& session,
                                      const EvaluationOptions& options,

@@ -8,6 +8,8 @@
 #include <vector>
 
 #include "core/base/result.h"
+#include "core/image/image.h"
+#include "core/quality/comparison_area.h"
 #include "core/quality/disparity_metrics.h"
 #include "core/quality/pose_metrics.h"
 #include "core/quality/radiance_metrics.h"
@@ -30,6 +32,10 @@ struct RadianceScore {
   double psnr_mu = 0.0;  // after errors.scale, white = the brightest luminance compared
   double ssim = 0.0;     // of luminance after Reinhard's operator with the reference's parameters
 };
+
+// Both W×H×3 panoramas of equal size, NaN = unknown, on the pixels of `area`.
+RadianceScore ScoreRadiance(ImageView<const float> tested, ImageView<const float> truth,
+                            const ComparisonArea& area);
 
 struct PositionScore {
   PositionId position{};

@@ -213,6 +213,11 @@ void Draw(const Plot& plot, double left, int width, int height, Canvas* canvas) 
     for (const double v : s.x) x_range.Take(v, plot.log_x);
     for (const double v : s.y) y_range.Take(v, plot.log_y);
   }
+  if (plot.headroom > 0.0 && y_range.low < y_range.high) {
+    const double above = plot.headroom / (1.0 - plot.headroom);
+    y_range.high = plot.log_y ? y_range.high * std::pow(y_range.high / y_range.low, above)
+                              : y_range.high + above * (y_range.high - y_range.low);
+  }
   const Axis x_axis(plot.log_x, x_range.low, x_range.high);
   const Axis y_axis(plot.log_y, y_range.low, y_range.high);
   const double x0 = left + 78.0;

@@ -28,6 +28,8 @@ struct Plot {
   std::string y_label;
   bool log_x = false;  // values that are not positive are left out
   bool log_y = false;
+  // Share of the height, 0 to below 1, that curves stay out of at the top: where the legend is.
+  double headroom = 0.0;
   std::vector<PlotSeries> series;
 };
 

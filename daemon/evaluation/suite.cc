@@ -24,23 +24,6 @@ namespace fs = std::filesystem;
 constexpr std::array kScenes = {sim::SceneKind::kHall, sim::SceneKind::kYard,
                                 sim::SceneKind::kTunnel, sim::SceneKind::kStreet};
 
-// The exposure at which the scene's median luminance reads value 50: at 1.6 stops to either side
-// the shortest frame shows lamps and sky, the longest the shadows.
-double MiddleExposure(const sim::Simulation& simulation) {
-  const auto world = sim::World::Create(simulation.scene, simulation.seed);
-  const sim::RenderedView view =
-      world->Render(simulation.PoseAt(*world, 0.0), Projection::Equirectangular(128, 64), 1);
-  Image<float> luminance = LuminanceOf(view.radiance);
-  // All but the uppermost quarter of the rows counts: whoever exposes for a place does not for the
-  // sky above it.
-  const auto values = luminance.values();
-  std::vector<float> sorted(values.begin() + static_cast<std::ptrdiff_t>(values.size() / 4),
-                            values.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return 50.0 / 128.0 / std::max(static_cast<double>(*middle), 1e-6);
-}
-
 SuiteCase MakeCase(sim::SceneKind scene, std::uint64_t seed, double stops, int width,
                    int positions) {
   SuiteCase made;
@@ -113,6 +96,21 @@ std::vector<SuiteCheck> ChecksOf(const SuiteScore& score) {
 }
 
 }  // namespace
+
+double MiddleExposure(const sim::Simulation& simulation) {
+  const auto world = sim::World::Create(simulation.scene, simulation.seed);
+  const sim::RenderedView view =
+      world->Render(simulation.PoseAt(*world, 0.0), Projection::Equirectangular(128, 64), 1);
+  Image<float> luminance = LuminanceOf(view.radiance);
+  // All but the uppermost quarter of the rows counts: whoever exposes for a place does not for the
+  // sky above it.
+  const auto values = luminance.values();
+  std::vector<float> sorted(values.begin() + static_cast<std::ptrdiff_t>(values.size() / 4),
+                            values.end());
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return 50.0 / 128.0 / std::max(static_cast<double>(*middle), 1e-6);
+}
 
 std::vector<SuiteCase> SuiteCases(SuiteKind kind) {
   std::vector<SuiteCase> cases;

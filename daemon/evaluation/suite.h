@@ -30,6 +30,10 @@ struct SuiteCase {
 enum class SuiteKind { kQuick, kTargets };
 std::vector<SuiteCase> SuiteCases(SuiteKind kind);
 
+// The exposure, in seconds, at which the scene's median luminance reads value 50: at 1.6 stops to
+// either side the shortest frame shows lamps and sky, the longest the shadows.
+double MiddleExposure(const sim::Simulation& simulation);
+
 // A number that has to be reached.
 struct SuiteCheck {
   std::string what;

@@ -62,6 +62,25 @@ TEST(Plot, ALogarithmicAxisLeavesOutWhatIsNotPositive) {
   EXPECT_THAT(svg, Not(HasSubstr("inf")));
 }
 
+TEST(Plot, HeadroomKeepsCurvesBelowTheLegend) {
+  Plot plot = Line();
+  const Image<std::uint8_t> without = PlotsAsPicture({plot}, 400, 300);
+  plot.headroom = 0.5;
+  const Image<std::uint8_t> with = PlotsAsPicture({plot}, 400, 300);
+  // The curve's upper end, far right of the legend.
+  const auto highest = [](const Image<std::uint8_t>& picture) {
+    for (int y = 0; y < picture.height(); ++y) {
+      for (int x = 300; x < picture.width(); ++x) {
+        const std::uint8_t* rgb = picture.pixel(x, y);
+        if (rgb[0] > 200 && rgb[1] < 80) return y;
+      }
+    }
+    return picture.height();
+  };
+  EXPECT_LT(highest(without), 70);
+  EXPECT_GT(highest(with), 130);
+}
+
 TEST(Plot, NothingToShowIsEmptyAxesAndNotACrash) {
   for (const bool logarithmic : {false, true}) {
     Plot plot;
