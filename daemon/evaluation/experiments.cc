@@ -15,7 +15,8 @@ namespace omnihdr {
 namespace experiments {
 namespace {
 
-constexpr int kExposures = 15;          // the thesis's #0 to #14
+constexpr int kExposures = 15;  // the thesis's #0 to #14
+constexpr int kMiddle = kExposures / 2;
 constexpr double kStepStops = 1.0 / 3;  // (3.2)
 constexpr double kSpacing = 0.3;        // metres (6.1)
 constexpr double kTurn = 10.0;          // degrees from one position to the next (6.5)
@@ -56,8 +57,8 @@ Result<std::unique_ptr<Bench>> SimulateBench(sim::SceneKind scene, const std::st
   tell(
       fmt::format("{} matrix: {} positions of {} exposures", place, options.positions, kExposures));
   sim::SimulateOptions simulate = MatrixOptions(scene, options);
-  simulate.bracket.start = ExposureTime::Seconds(MiddleExposure(simulate.simulation)) +
-                           Stops{-kStepStops * (kExposures / 2)};
+  simulate.bracket.start =
+      ExposureTime::Seconds(MiddleExposure(simulate.simulation)) + Stops{-kStepStops * kMiddle};
   OMNIHDR_TRY(sim::WriteSimulatedSession(session, simulate, {}));
   return OpenBench(session, options, place);
 }

@@ -52,6 +52,13 @@ std::vector<int> Within(const std::vector<int>& wanted, const Sequence& sequence
   return there;
 }
 
+void NoteMissingMethod(const Bench& bench, Section* section) {
+  if (bench.HasMethod(Method::kThesis)) return;
+  section->notes.push_back(fmt::format(
+      "{}: the thesis's parts are not run: their hat weights cannot take the raw frames of a rig",
+      bench.place()));
+}
+
 struct RangeRow {
   RadianceRange frame;
   RadianceRange spatiotemporal;
@@ -292,6 +299,7 @@ Status RunStep(const Benches& benches, const std::filesystem::path& out, Section
         {file, fmt::format("Steps of {} stops (thesis figs. 6.8 to 6.13)", stops)});
   }
   if (section->tables.empty()) return {};
+  NoteMissingMethod(bench, section);
   OMNIHDR_TRY(WriteCurves(out / "step.png", {plot}));
   section->figures.push_back({"step.png", "SSIM by position"});
   return {};
@@ -322,6 +330,7 @@ Status RunOutdoor(const Benches& benches, const std::filesystem::path& out, Sect
                  {Words("Sen et al. 2012 (patch-based HDR)"), Number(0.79, 2), Number(0.99, 2),
                   Number(0.87, 2), Words("not run")}};
   section->tables.push_back(std::move(others));
+  NoteMissingMethod(bench, section);
   section->notes.emplace_back(
       "The numbers of Hu et al. and Sen et al. are quoted from the thesis, on its front yard: each "
       "is the SSIM to the temporal HDR, with another frame as the method's reference at each "
