@@ -80,6 +80,11 @@ FrameRecord RecordOf(const SessionPlan& plan, std::size_t position) {
     }
     record.odometer_m = travelled;
   }
+  if (plan.with_heading && position < plan.poses.size()) {
+    const Eigen::Vector3d forward = plan.poses[position].rotation * Eigen::Vector3d::UnitX();
+    record.heading_deg =
+        std::fmod(450.0 - std::atan2(forward.y(), forward.x()) * 180.0 / M_PI, 360.0);
+  }
   if (plan.with_prior_poses && position < plan.poses.size()) record.pose = plan.poses[position];
   return record;
 }

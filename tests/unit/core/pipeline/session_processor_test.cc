@@ -9,6 +9,7 @@
 
 #include "core/base/parallel_for.h"
 #include "core/image/exr.h"
+#include "core/image/image_io.h"
 #include "core/session/view_writer.h"
 #include "tests/unit/core/pipeline/processing.h"
 
@@ -18,6 +19,7 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::ElementsAre;
 using testing::FileText;
+using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using testing::ProcessAll;
 using testing::Processed;
@@ -168,7 +170,8 @@ TEST(SessionProcessor, TwoRunsGiveTheSameBytesOnAnyNumberOfWorkers) {
   SetWorkerCount(2);
   ProcessAll(session.path(), b.path());
   SetWorkerCount(0);
-  EXPECT_EQ(ViewBytes(a.path()).size(), 28U);
+  // Four files a view, and keyframe.bin of all but the last two.
+  EXPECT_EQ(ViewBytes(a.path()).size(), 33U);
   EXPECT_TRUE(SameBytes(ViewBytes(a.path()), ViewBytes(b.path())));
 }
 
@@ -281,6 +284,45 @@ TEST(SessionProcessor, PosesAreFoundWhenNobodyTellsThem) {
         (record->pose.translation - plan.poses[static_cast<std::size_t>(k)].translation).norm(),
         0.05)
         << "position " << k;
+  }
+}
+
+TEST(SessionProcessor, ACompassCarriesAPoseOverAPictureThatShowsNothingAndTheViewSaysSo) {
+  const TemporaryDirectory directory;
+  SessionPlan plan;
+  plan.room.low = {-5.0, -3.0, -1.5};
+  plan.room.detail_m = 0.5;
+  plan.poses = testing::GentleBend(8, 0.15);
+  plan.projection = Projection::Equirectangular(320, 160);
+  plan.with_heading = true;
+  Frames frames = testing::RenderFrames(plan);
+  const Image<std::uint8_t> grey(320, 160, 3, 90);
+  frames[4] = *EncodePng(grey.view());
+  WriteSession(directory.path(), plan, frames);
+  for (const double sigma_deg : {0.0, 2.0}) {
+    PipelineOptions options = QuickOptions();
+    options.heading_sigma_deg = sigma_deg;
+    const fs::path out = directory.path() / fmt::format("out{}", sigma_deg);
+    ProcessAll(directory.path(), out, options);
+    const Result<ViewRecord> view = ReadViewRecord(out / "views", PositionId{4});
+    ASSERT_TRUE(view) << view.error().message;
+    EXPECT_EQ(view->dead_reckoned.empty(), sigma_deg == 0.0);
+    EXPECT_EQ(view->chain == 0, sigma_deg > 0.0);
+    if (sigma_deg == 0.0) continue;
+    EXPECT_THAT(view->dead_reckoned, HasSubstr("position 4 shows 0 usable features"));
+    EXPECT_THAT(view->warnings.back(), HasSubstr("pose by heading and odometer alone"));
+    const Pose truth = plan.poses[0].Inverse() * plan.poses[4];
+    EXPECT_LT((view->pose.translation - truth.translation).norm(), 0.05);
+    EXPECT_LT(view->pose.rotation.angularDistance(truth.rotation), 0.03);
+    ASSERT_TRUE(view->sigma);
+    EXPECT_NEAR(view->sigma->rotation_deg.z(), 2.83, 0.01);
+    // It shows nothing and borrows nothing.
+    EXPECT_THAT(view->frames, ElementsAre(4U));
+    const Result<ViewRecord> next = ReadViewRecord(out / "views", PositionId{5});
+    ASSERT_TRUE(next);
+    EXPECT_EQ(next->chain, 0);
+    EXPECT_EQ(next->dead_reckoned, "");
+    EXPECT_THAT(next->frames, ElementsAre(3U, 5U, 6U, 7U));
   }
 }
 
