@@ -23,8 +23,8 @@ constexpr int kLeastRatios = 20;  // distances compared to get from one unit to 
 // A place is seen well from within this share of the distance of what is seen there.
 constexpr double kReach = 0.5;
 constexpr double kDriftAllowed = 0.02;  // of the way since
-// Less drift than this is told but left alone: a recognition, of a picture of another exposure taken
-// some way from the place, has errors of its own.
+// Less drift than this is told but left alone: a recognition, of a picture of another exposure
+// taken some way from the place, has errors of its own.
 constexpr double kLeastDriftDeg = 0.5;
 constexpr double kLeastDriftShare = 0.03;  // of the distance of what is seen
 constexpr double kLeastDriftScale = 0.08;  // ratio of units, less 1

@@ -20,7 +20,7 @@ struct SessionPlan {
   Projection projection = Projection::Equirectangular(256, 128);
   bool with_prior_poses = false;  // the journal tells the poses: nothing to estimate
   bool with_odometer = true;
-  bool with_heading = false;  // the poses' turn about the vertical, as a compass bearing
+  bool with_heading = false;    // the poses' turn about the vertical, as a compass bearing
   int frames_per_position = 1;  // as session.json says; 0: it says nothing
   NoiseModel noise;
 };
