@@ -55,6 +55,48 @@ TEST(ViewRecord, TheDocumentedExampleIsRead) {
   EXPECT_EQ(view->radiance_max, 812.0);
 }
 
+TEST(ViewRecord, WhatIsSaidOfAPoseIsReadAndWhatCannotBeIsRefused) {
+  const auto with = [](const std::string& sigma, const std::string& more) {
+    return R"({"position": 3, "pose": {"q": [1,0,0,0], "t": [0.9,0,0], )" + sigma +
+           R"(}, "scale": "metric",
+ "chain": 0, )" +
+           more +
+           R"( "orientation": [1,0,0,0], "frames": [3], "reference": 3, "mode": "spatiotemporal",
+ "radiance": {"min": 0.01, "max": 812.0, "valid_fraction": 0.998}})";
+  };
+  const std::string sigma =
+      R"("sigma_rotation_deg": [0.01, 0.02, 0.03], "sigma_t": [0.001, 0.002, 0.003])";
+  const std::string relocalised =
+      R"("relocalised": {"place": 1, "seen_from": 4, "from_chain": 2, "matches": 57},)";
+  const std::string loop =
+      R"("loop": {"place": 1, "seen_from": 3, "matches": 90, "drift_rotation_deg": 0.6,
+ "drift_translation": 0.2, "drift_scale": 1.0, "corrected": true},)";
+  const Result<ViewRecord> view = ParseViewRecord(with(sigma, relocalised + loop), "view.json");
+  ASSERT_TRUE(view) << view.error().message;
+  ASSERT_TRUE(view->sigma && view->relocalised && view->loop);
+  EXPECT_EQ(view->sigma->rotation_deg.y(), 0.02);
+  EXPECT_EQ(view->sigma->translation.z(), 0.003);
+  EXPECT_EQ(view->relocalised->place, PositionId{1});
+  EXPECT_EQ(view->relocalised->from_chain, 2);
+  EXPECT_EQ(view->loop->drift_rotation_deg, 0.6);
+  EXPECT_TRUE(view->loop->corrected);
+  for (const auto& [text, message] : {
+           std::pair(with(R"("sigma_rotation_deg": [0.01, 0.02, 0.03])", ""),
+                     "pose.sigma_t: missing"),
+           std::pair(with(R"("sigma_rotation_deg": [1, 2], "sigma_t": [1, 2, 3])", ""),
+                     "pose.sigma_rotation_deg: [1,2], expected three numbers of at least 0"),
+           std::pair(with(R"("sigma_rotation_deg": [1, 2, 3], "sigma_t": [1, -2, 3])", ""),
+                     "pose.sigma_t: [1,-2,3], expected three numbers of at least 0"),
+           std::pair(with(sigma, R"("relocalised": {"place": -1},)"), "relocalised.place: -1"),
+           std::pair(with(sigma, R"("loop": {"place": 1, "seen_from": 3, "matches": 9},)"),
+                     "loop.drift_rotation_deg: missing"),
+       }) {
+    const Result<ViewRecord> refused = ParseViewRecord(text, "v");
+    ASSERT_FALSE(refused) << message;
+    EXPECT_THAT(refused.error().message, HasSubstr(message));
+  }
+}
+
 TEST(ViewRecord, SaysNothingThatDiffersBetweenRuns) {
   const std::string text = FormatViewRecord(test::SampleView(3));
   EXPECT_EQ(text.find("seconds"), std::string::npos);
