@@ -57,6 +57,8 @@ struct SimCameraConfig {
   double speed_m_s = 1.0;              // along the scene's path, whose curvature the scene decides
   double yaw_deg_per_m = 5.0;          // turning of the camera against the direction of travel
   double sway_deg = 1.0;               // amplitude of the slow pitching and rolling
+  int movers = 0;                      // people who walk about near the start of the drive
+  double mover_speed_m_s = 1.4;        // of each
   double latency_s = 0.0;              // trigger to frame
   double lost_frame_probability = 0.0;
   double corrupt_frame_probability = 0.0;

@@ -352,6 +352,9 @@ std::vector<ConfigKey> MakeKeys() {
   add(Number("camera.sim.yaw_deg_per_m", "degrees per metre", -360, 360,
              OMNIHDR_MEMBER(camera.sim.yaw_deg_per_m)));
   add(Number("camera.sim.sway_deg", "degrees", 0, 10, OMNIHDR_MEMBER(camera.sim.sway_deg)));
+  add(Whole("camera.sim.movers", "a whole number", 0, 16, OMNIHDR_MEMBER(camera.sim.movers)));
+  add(Number("camera.sim.mover_speed_m_s", "metres per second", 0, 20,
+             OMNIHDR_MEMBER(camera.sim.mover_speed_m_s)));
   add(Number("camera.sim.latency_s", "seconds", 0, 60, OMNIHDR_MEMBER(camera.sim.latency_s)));
   add(Number("camera.sim.lost_frame_probability", "a probability", 0, 1,
              OMNIHDR_MEMBER(camera.sim.lost_frame_probability)));
@@ -487,6 +490,10 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(pipeline.options.merge_weights)));
   add(Switch("merge.consistency", OMNIHDR_MEMBER(pipeline.options.consistency)));
   add(Switch("merge.occlusion", OMNIHDR_MEMBER(pipeline.options.occlusion)));
+  add(Choice("merge.movers", std::vector{MergeMovers::kKeep, MergeMovers::kRemove},
+             OMNIHDR_MEMBER(pipeline.options.movers)));
+  add(Path("merge.mover_masks", "a folder or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(pipeline.options.mover_masks)));
   return keys;
 }
 

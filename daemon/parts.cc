@@ -1,5 +1,6 @@
 #include "daemon/parts.h"
 
+#include <algorithm>
 #include <utility>
 
 #include "drivers/all_drivers.h"
@@ -46,6 +47,8 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   options.simulation.width = from.width;
   options.simulation.motion.yaw_deg_per_m = from.yaw_deg_per_m;
   options.simulation.motion.sway_deg = from.sway_deg;
+  options.simulation.movers.count = from.movers;
+  options.simulation.movers.speed = std::min(from.mover_speed_m_s / from.speed_m_s, 100.0);
   options.simulation.sensor.full_well_e = from.photons_full_well;
   options.simulation.sensor.read_noise = from.read_noise;
   options.simulation.sensor.seed = from.seed;

@@ -25,6 +25,7 @@ enum PixelFlag : std::uint8_t {
   kDarkB = 32,
   kDarkAny = 56,
   kMasked = 64,  // the user's mask, the vehicle, outside the sensor: says nothing about the scene
+  kMover = 128,  // measured, of something that moves, as a person marked: no other position's
 };
 
 // What all frames taken at one position say together about the light arriving there, per pixel of

@@ -53,12 +53,15 @@ void AddOptions(const PipelineOptions& options, Digest& digest) {
                white_balance, refine_exposure, refine_limit, demosaic, stereo_width, labels,
                max_parallax_deg, neighbours, cost, search, fusion, filter, fill, sky,
                min_baseline_ratio, keyframes, heading_sigma_deg, consistency_sigma,
-               merge_neighbours, merge_weights, consistency, occlusion] = options;
+               merge_neighbours, merge_weights, consistency, occlusion, movers, mover_masks] =
+      options;
   digest.AddAll(mode, output_width, orientation, preview_quality, exr_type, chromaticities, nan,
                 value_low, value_high, white_luminance, weights, white_balance, refine_exposure,
                 refine_limit, demosaic, stereo_width, labels, max_parallax_deg, neighbours, cost,
                 search, fusion, filter, fill, sky, min_baseline_ratio, keyframes, heading_sigma_deg,
-                consistency_sigma, merge_neighbours, merge_weights, consistency, occlusion);
+                consistency_sigma, merge_neighbours, merge_weights, consistency, occlusion, movers);
+  // Which folder: its pictures may come with the frames.
+  digest.AddText(mover_masks);
   const auto& [read, gain, prnu] = noise;
   digest.AddAll(read, gain, prnu);
   const auto& [tone_operator, shape, key, exposure_stops, white_percentile, sharpening, threshold,

@@ -91,6 +91,8 @@ std::string DescribeMethods(const PipelineOptions& options) {
   if (options.merge_weights != ours.merge_weights) tell("merge.weights", "hat");
   if (!options.consistency) tell("merge.consistency", "false");
   if (!options.occlusion) tell("merge.occlusion", "false");
+  if (options.movers != ours.movers) tell("merge.movers", ToString(options.movers));
+  if (!options.mover_masks.empty()) tell("merge.mover_masks", "given");
   return text;
 }
 

@@ -83,6 +83,10 @@ struct PipelineOptions {
   MergeWeights merge_weights = MergeWeights::kInverseVariance;
   bool consistency = true;  // whether samples count by their agreement with the own view
   bool occlusion = true;    // whether hidden samples are left out
+  MergeMovers movers = MergeMovers::kKeep;
+  // Folder of pictures that show in white where something moves, named as the frames with .png; ""
+  // = none. Relative paths: to the session. See MarkMovers.
+  std::string mover_masks;
   Status Validate() const;  // kConfig error naming the option and its range
 
   // The method of Zhou's thesis (2014) as far as this program has its parts: two neighbours, the

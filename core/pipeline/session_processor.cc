@@ -16,6 +16,7 @@
 #include "core/photometry/exposure_refine.h"
 #include "core/pipeline/frame_measurer.h"
 #include "core/pipeline/made_with.h"
+#include "core/pipeline/mover_masks.h"
 #include "core/pipeline/rig_masks.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
@@ -482,6 +483,14 @@ class SessionProcessorImpl final : public SessionProcessor {
                          measurement.error().message));
       }
       return std::nullopt;
+    }
+    for (const FrameRecord* record : usable) {
+      if (options_.mover_masks.empty()) break;
+      const Status marked = MarkMovers(session_ / options_.mover_masks, *record, &*measurement);
+      if (!marked && count) {
+        Warn(fmt::format("frame {}: {}: its movers are not marked", Value(record->frame),
+                         marked.error().message));
+      }
     }
     LoadedPosition loaded;
     loaded.position = records.front().position;

@@ -134,6 +134,11 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
     radiance_attributes.floats["whiteLuminance"] = context.white_luminance;
   }
   radiance_attributes.strings["omnihdrOrigin"] = kOriginMeaning;
+  Image<float> sources;
+  if (!view.sources.empty()) {
+    sources = AsFloat(view.sources);
+    radiance_attributes.strings["omnihdrSources"] = kSourcesMeaning;
+  }
   const Image<float> origin = AsFloat(view.origin);
   Image<float> marked;
   if (context.nan != NanPixels::kNever) {
@@ -142,12 +147,13 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
   }
   const Image<float>& radiance = marked.empty() ? view.radiance : marked;
   const auto write_radiance = [&]() -> Status {
-    return WriteExr(directory / "radiance.exr",
-                    {{"R", radiance, type, 0},
-                     {"G", radiance, type, 1},
-                     {"B", radiance, type, 2},
-                     {"origin", origin, ExrPixelType::kHalf, 0}},
-                    radiance_attributes, ExrCompression::kPiz);
+    std::vector<ExrChannel> channels = {{"R", radiance, type, 0},
+                                        {"G", radiance, type, 1},
+                                        {"B", radiance, type, 2},
+                                        {"origin", origin, ExrPixelType::kHalf, 0}};
+    if (!sources.empty()) channels.push_back({"sources", sources, ExrPixelType::kHalf, 0});
+    return WriteExr(directory / "radiance.exr", channels, radiance_attributes,
+                    ExrCompression::kPiz);
   };
   const auto write_disparity = [&]() -> Status {
     if (!with_disparity) return {};

@@ -70,6 +70,10 @@ void MarkNan(const Image<std::uint8_t>& origin, NanPixels nan, Image<float>* rad
 // What the values of the mask channel "origin" mean, as a string attribute of the file.
 inline constexpr char kOriginMeaning[] = "0 no data, 1 measured, 2 clipped (lower bound), 3 dark";
 
+// What the values of the channel "sources" mean (MergedView::sources).
+inline constexpr char kSourcesMeaning[] =
+    "sum of 1 (the own frame) and 2, 4, 8, ... (the other positions, nearest first)";
+
 // A measurement as a merged view on its own pixel grid, for cameras without a sphere.
 MergedView ViewOfMeasurement(const Measurement& measurement);
 

@@ -376,7 +376,13 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
     const double baseline =
         OffsetInWorld(slot.pose.world_from_camera, other.pose.world_from_camera).norm();
     if (slot.raw == nullptr && baseline > 0.0) continue;
-    others.push_back({&other.input.measurement, other.pose.world_from_camera, nullptr});
+    const bool is_ahead = n == index + 1;
+    const DisparityMap* matched = (is_ahead ? other.ahead : other.raw).get();
+    if (matched != nullptr) {
+      view.quality_level =
+          std::max(view.quality_level, is_ahead ? other.ahead_level : other.raw_level);
+    }
+    others.push_back({&other.input.measurement, other.pose.world_from_camera, nullptr, matched});
     view.frames.insert(view.frames.end(), other.input.frames.begin(), other.input.frames.end());
   }
   std::sort(view.frames.begin(), view.frames.end());
@@ -395,6 +401,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   merge.weights = options_.merge_weights;
   merge.consistency = options_.consistency;
   merge.occlusion = options_.occlusion;
+  merge.movers = options_.movers;
   const int width = options_.output_width != 0
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);

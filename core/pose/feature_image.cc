@@ -216,7 +216,7 @@ FeatureImage MakeFeatureImage(const Measurement& measurement, int width) {
       for (std::size_t k = first_tap[x]; k < first_tap[x + 1]; ++k) {
         const Tap& tap = column_taps[k];
         const std::uint8_t flag = why[tap.index];
-        if ((flag & kMasked) != 0) continue;
+        if ((flag & (kMasked | kMover)) != 0) continue;
         const float* p = pixels + 4 * static_cast<std::ptrdiff_t>(tap.index);
         grey += tap.weight * (kGrey[0] * p[0] + kGrey[1] * p[1] + kGrey[2] * p[2]);
         seen += tap.weight;

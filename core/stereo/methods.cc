@@ -40,4 +40,8 @@ std::string_view ToString(StereoFill fill) {
   return fill == StereoFill::kSuperpixels ? "superpixels" : "rims";
 }
 
+std::string_view ToString(MergeMovers movers) {
+  return movers == MergeMovers::kRemove ? "remove" : "keep";
+}
+
 }  // namespace omnihdr

@@ -57,7 +57,7 @@ std::uint64_t Interval(float code, bool saturated, bool dark, int position) {
 
 // `flags`: of both places; `change`: of the logarithm of luminance between them.
 std::uint64_t Gradient(std::uint8_t flags, float change, int position) {
-  if ((flags & (kMasked | kSaturatedAny | kDarkAny)) != 0) {
+  if ((flags & (kMasked | kMover | kSaturatedAny | kDarkAny)) != 0) {
     return Byte(0, position) | Byte(255, position + 1);
   }
   const float code = 128.0F + kGradientCodesPerLn * 0.5F * change;
@@ -238,7 +238,7 @@ StereoView MakeStereoView(const Measurement& measurement,
       const std::uint8_t* flags_below = samples.flags.row(below);
       for (int j = 0; j < width; ++j) {
         const std::uint8_t f = flags[j];
-        if ((f & kMasked) != 0) continue;
+        if ((f & (kMasked | kMover)) != 0) continue;
         const int left = j >= kStep ? j - kStep : j - kStep + width;
         const int right = j + kStep < width ? j + kStep : j + kStep - width;
         out[j] = Interval(red[j], (f & kSaturatedR) != 0, (f & kDarkR) != 0, 0) |

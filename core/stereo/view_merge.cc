@@ -18,103 +18,24 @@
 #include "core/sphere/latlong_grid.h"
 #include "core/stereo/agreement_field.h"
 #include "core/stereo/fuse.h"
+#include "core/stereo/merge_source.h"
+#include "core/stereo/mover_region.h"
 #include "core/stereo/row_geometry.h"
 
 namespace omnihdr {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr std::size_t kMaxSources = 8;
 constexpr float kTrustedConfidence = 0.4F;
 constexpr float kSureConfidence = 0.7F;
 constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
 constexpr float kLeastBlockSamples = 4.0F;
 constexpr float kLeastTrust = 0.2F;
+constexpr float kLeastShare = 0.1F;  // of the weight, to be told as a source
+constexpr int kLeastWitnesses = 2;   // views that must agree on what is behind a mover
 constexpr float kHalfTrustSigmas =
     3.0F;  // disagreement in standard deviations that halves the trust
-constexpr std::array<std::uint8_t, 3> kSaturatedBit = {kSaturatedR, kSaturatedG, kSaturatedB};
-
-// The reference's disparity at full resolution: low-resolution pixels around, weighed by nearness
-// and by likeness of brightness (joint bilateral upsampling, Kopf et al. 2007), but never a mean of
-// two surfaces: only values close to the heaviest one take part.
-class DisparityLookup {
- public:
-  DisparityLookup(const DisparityMap& map, const Image<std::uint8_t>& brightness)
-      : map_(map), brightness_(brightness), grid_(map.disparity.width(), map.disparity.height()) {}
-
-  struct Value {
-    float disparity = kNan;
-    float confidence = 0.0F;
-  };
-
-  // At a point of the map. `code` is the full-resolution brightness on the scale of the map's
-  // brightness, < 0 if unknown.
-  Value At(float px, float py, float code) const {
-    const float fx = px - 0.5F;
-    const float fy = py - 0.5F;
-    const int x0 = static_cast<int>(std::floor(fx));
-    const int y0 = static_cast<int>(std::floor(fy));
-    std::array<float, 4> d{};
-    std::array<float, 4> w{};
-    std::array<float, 4> c{};
-    std::size_t count = 0;
-    std::size_t heaviest = 0;
-    for (int k = 0; k < 4; ++k) {
-      const int x = Wrap(x0 + (k & 1));
-      const int y = std::clamp(y0 + (k >> 1), 0, grid_.height() - 1);
-      const float value = map_.disparity.at(x, y);
-      if (!(value >= 0.0F)) continue;
-      const float ax = 1.0F - std::abs(fx - static_cast<float>(x0 + (k & 1)));
-      const float ay = 1.0F - std::abs(fy - static_cast<float>(y0 + (k >> 1)));
-      float weight = std::max(ax * ay, 1e-3F);
-      if (code >= 0.0F) {
-        const float unlike = std::abs(code - static_cast<float>(brightness_.at(x, y)));
-        weight *= 1.0F / (1.0F + 0.05F * unlike * unlike);
-      }
-      d[count] = value;
-      w[count] = weight;
-      c[count] = map_.confidence.at(x, y);
-      if (weight > w[heaviest]) heaviest = count;
-      ++count;
-    }
-    if (count == 0) return {};
-    const float centre = d[heaviest];
-    const float near = 0.05F * centre + 0.002F;
-    float sum = 0.0F;
-    float weight_sum = 0.0F;
-    for (std::size_t k = 0; k < count; ++k) {
-      if (std::abs(d[k] - centre) > near) continue;
-      sum += w[k] * d[k];
-      weight_sum += w[k];
-    }
-    return {sum / weight_sum, c[heaviest]};
-  }
-
- private:
-  int Wrap(int x) const {
-    if (x < 0) return x + grid_.width();
-    return x >= grid_.width() ? x - grid_.width() : x;
-  }
-  const DisparityMap& map_;
-  const Image<std::uint8_t>& brightness_;
-  LatLongGrid grid_;
-};
-
-// Everything needed to look a surface point up in one other view.
-struct SourceLookup {
-  const Measurement* measurement = nullptr;
-  std::unique_ptr<PanoramaSampler> sampler;
-  Eigen::Matrix3f camera_from_world = Eigen::Matrix3f::Identity();
-  Eigen::Vector3f offset = Eigen::Vector3f::Zero();  // its centre from the reference's, world frame
-  Image<float> nearest;  // nearest surface in each of its directions, world-aligned; NaN unknown
-  AgreementField agreement;
-  // reference / source where both are well exposed; nothing when too little is shared.
-  std::optional<float> exposure_ratio;
-  // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a
-  // wrong registration that the noise of a single dark pixel hides.
-  Image<float> block_trust;
-};
 
 constexpr int kBlock = 8;  // output pixels
 
@@ -124,76 +45,6 @@ struct BlockSums {
   float noise = 0.0F;
   float count = 0.0F;
 };
-
-enum class Sight { kUnknown, kHidden, kVisible };
-
-// Whether a source sees the surface point of the row's i-th ray, at disparity `d`, or something
-// nearer hides it there. kUnknown: the point has no place in the source.
-Sight SightOf(const SourceLookup& source, const SeenRow& seen, std::size_t i, float d,
-              float occlusion_tolerance) {
-  if (source.nearest.empty()) return Sight::kVisible;
-  if (!(d >= 0.0F) || seen.distance[i] < 1e-4F) return Sight::kUnknown;
-  const float expected = d / seen.distance[i];
-  const float nearest = source.nearest.at(seen.grid_column[i], seen.grid_row[i]);
-  const bool is_hidden = nearest > expected * (1.0F + occlusion_tolerance) + 0.003F;
-  return is_hidden ? Sight::kHidden : Sight::kVisible;
-}
-
-// The nearest surface seen from a source in each direction: the reference's map warped there, and
-// the source's own map where it has one.
-Image<float> NearestSurface(const DisparityMap& reference, const MergeSource& source,
-                            const Eigen::Vector3f& offset) {
-  Image<float> nearest = WarpDisparity(reference, offset);
-  if (source.disparity != nullptr && source.disparity->disparity.width() == nearest.width()) {
-    for (int y = 0; y < nearest.height(); ++y) {
-      for (int x = 0; x < nearest.width(); ++x) {
-        if (source.disparity->confidence.at(x, y) < 0.3F) continue;
-        const float d = source.disparity->disparity.at(x, y);
-        float& n = nearest.at(x, y);
-        if (d >= 0.0F && !(n >= d)) n = d;
-      }
-    }
-  }
-  return nearest;
-}
-
-struct Sample {
-  std::array<float, 3> radiance{};
-  std::array<float, 3> variance{};
-  std::array<float, 3> hat{};  // weights in place of the inverse variance, when asked for
-  std::uint8_t flags = kMasked;
-  bool usable = false;  // no channel saturated, not masked
-  bool hidden = false;  // behind something nearer, if the disparity maps are right
-  float trust = 1.0F;
-};
-
-// Whether a clipped sample is as bright as a clipped pixel demands, and so may show the same.
-bool MeetsBound(const Sample& sample, const Sample& mine) {
-  constexpr float kTolerance = 0.8F;
-  if ((sample.flags & kSaturatedAny) == 0) return false;
-  for (std::size_t c = 0; c < 3; ++c) {
-    if ((mine.flags & kSaturatedBit[c]) != 0 &&
-        sample.radiance[c] < kTolerance * mine.radiance[c]) {
-      return false;
-    }
-  }
-  return true;
-}
-
-// Contrast of a sample's neighbourhood, as relative luminance change per pixel.
-float LocalContrast(const Measurement& m, float x, float y) {
-  const int width = m.radiance.width();
-  const int height = m.radiance.height();
-  const int xi = std::clamp(static_cast<int>(x), 0, width - 1);
-  const int yi = std::clamp(static_cast<int>(y), 0, height - 1);
-  const int xl = xi == 0 ? width - 1 : xi - 1;
-  const int xr = xi + 1 == width ? 0 : xi + 1;
-  const int yu = std::max(0, yi - 1);
-  const int yd = std::min(height - 1, yi + 1);
-  const float gx = Luminance(m.radiance.pixel(xr, yi)) - Luminance(m.radiance.pixel(xl, yi));
-  const float gy = Luminance(m.radiance.pixel(xi, yd)) - Luminance(m.radiance.pixel(xi, yu));
-  return 0.5F * std::sqrt(gx * gx + gy * gy);
-}
 
 // Whether a surface's radiance is within the good part of both views' ranges. The longer, cleaner
 // exposure decides: a noisy value that chose itself would bias the ratio.
@@ -220,12 +71,63 @@ constexpr float kLeastHat = 1e-3F;
 constexpr float kDarkWeight = 1e-6F;  // counts only where there is nothing else
 
 // Thesis eq. 2.5 of each channel's value, as its share of the one that saturates.
-void SetHatWeights(const Measurement& m, const std::array<float, 3>& raw, Sample* s) {
+void SetHatWeights(const Measurement& m, const std::array<float, 3>& raw, MergeSample* s) {
   for (std::size_t c = 0; c < 3; ++c) {
     const float value = raw[c] / m.saturation[c];
     const bool is_dark = (s->flags & kDarkAny) != 0;
     s->hat[c] = is_dark ? kDarkWeight : std::max(std::min(value, 1.0F - value), kLeastHat);
   }
+}
+
+// Where the own view says little - it is clipped, or dark - what a single other view saw passing by
+// would count as much as what all others saw: only those stay that most of them side with.
+void DropMinority(std::size_t count, MergeSamples* samples) {
+  constexpr float kConflict = 1.4F;  // brightest over darkest
+  float least = std::numeric_limits<float>::infinity();
+  float most = 0.0F;
+  int voters = 0;
+  for (std::size_t k = 1; k < count; ++k) {
+    const MergeSample& s = (*samples)[k];
+    if (!s.usable || s.hidden || s.trust <= kLeastTrust) continue;
+    ++voters;
+    least = std::min(least, s.radiance[1]);
+    most = std::max(most, s.radiance[1]);
+  }
+  if (voters < 3 || most <= kConflict * std::max(least, 0.0F)) return;
+  const MergeMajority majority = FindMajority(*samples, count);
+  if (2 * majority.views <= voters) return;
+  for (std::size_t k = 1; k < count; ++k) {
+    MergeSample& s = (*samples)[k];
+    if (s.usable && !s.hidden && !majority.member[k]) s.trust = 0.0F;
+  }
+}
+
+// Puts what is behind a mover in the own view's place: of the others those that side with each
+// other, two of them, or one where a person marked the mover. False: too few see it. The own view
+// stays where it shows the same.
+bool TakeBackground(bool is_marked, std::size_t count, MergeSamples* samples) {
+  MergeSample& mine = (*samples)[0];
+  const int needed = is_marked ? 1 : kLeastWitnesses;
+  const MergeMajority majority = FindMajority(*samples, count);
+  if (majority.views < needed) {
+    // A background that is clipped in every view that saw it has a bound at least.
+    int clipped = 0;
+    for (std::size_t k = 1; k < count; ++k) {
+      clipped += ((*samples)[k].flags & kSaturatedAny) != 0 ? 1 : 0;
+    }
+    if (majority.views > 0 || clipped < needed) return false;
+    if (!is_marked && (mine.flags & kSaturatedAny) != 0) return false;
+    mine.flags = kMasked;
+    mine.usable = false;
+    return true;
+  }
+  if (!is_marked && MayShowTheSame(mine, (*samples)[majority.winner])) return true;
+  mine.flags = kMasked;
+  mine.usable = false;
+  for (std::size_t k = 1; k < count; ++k) {
+    (*samples)[k].trust = majority.member[k] ? 1.0F : 0.0F;
+  }
+  return true;
 }
 
 std::optional<float> Median(std::vector<float> values) {
@@ -294,7 +196,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   const Eigen::Matrix3f own_from_world =
       reference.world_from_camera.rotation.conjugate().toRotationMatrix().cast<float>();
 
-  std::vector<SourceLookup> sources(std::min(others.size(), kMaxSources - 1));
+  const bool removes = options.movers == MergeMovers::kRemove && map != nullptr;
+  std::vector<SourceLookup> sources(std::min(others.size(), kMaxMergeViews - 1));
   ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
     for (int n = begin; n < end; ++n) {
       const MergeSource& other = others[static_cast<std::size_t>(n)];
@@ -305,7 +208,11 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           other.world_from_camera.rotation.conjugate().toRotationMatrix().cast<float>();
       s.offset = (other.world_from_camera.translation - reference.world_from_camera.translation)
                      .cast<float>();
-      if (map != nullptr) s.nearest = NearestSurface(*map, other, s.offset);
+      if (map == nullptr) continue;
+      s.nearest = NearestSurface(*map, other, s.offset);
+      if (removes && other.matched != nullptr) {
+        s.behind = WarpDisparity(*other.matched, -s.offset);
+      }
     }
   });
   std::unique_ptr<DisparityLookup> disparity;
@@ -323,18 +230,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   view.disparity = Image<float>(width, height, 1, kNan);
   view.confidence = Image<float>(width, height);
   view.origin = Image<std::uint8_t>(width, height);
+  view.sources = Image<std::uint8_t>(width, height);
 
-  const auto make_sample = [&](const Measurement& m, const RadianceSample& raw) {
-    Sample s;
-    s.radiance = raw.rgb;
-    s.flags = raw.flags;
-    s.usable = (raw.flags & (kMasked | kSaturatedAny)) == 0;
-    for (std::size_t c = 0; c < 3; ++c) {
-      const float e = std::max(raw.rgb[c], 0.0F);
-      s.variance[c] = m.variance_floor[c] + m.variance_per_radiance[c] * e;
-    }
-    return s;
-  };
   const bool by_hat = options.weights == MergeWeights::kHat;
 
   const float cells_per_pixel_x =
@@ -356,7 +253,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       PointsInView(rays, own_from_world, own_sampler, &points);
       for (std::size_t i = 0; i < rays.size(); ++i) {
         const RadianceSample mine = own_sampler.SampleAt(points.x[i], points.y[i]);
-        const bool counts = (mine.flags & (kMasked | kSaturatedAny)) == 0;
+        const bool counts = (mine.flags & (kMasked | kMover | kSaturatedAny)) == 0;
         own_luminance.at(static_cast<int>(i), row) = counts ? Luminance(mine.rgb.data()) : 0.0F;
       }
       if (disparity == nullptr) continue;
@@ -402,7 +299,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const float px = seen.image.x[i];
           const float py = seen.image.y[i];
           const RadianceSample theirs = source.sampler->SampleAt(px, py);
-          if ((theirs.flags & (kMasked | kSaturatedAny)) != 0) continue;
+          if ((theirs.flags & (kMasked | kMover | kSaturatedAny)) != 0) continue;
           const float theirs_y = Luminance(theirs.rgb.data());
           if (!(theirs_y > 0.0F)) continue;
           BlockSums& block = blocks[static_cast<std::size_t>((y / kBlock) * blocks_x + x / kBlock)];
@@ -450,13 +347,27 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     }
   });
 
+  MoverRegion movers;
+  if (removes) {
+    movers = FindMovers(
+        {.own = own,
+         .own_sampler = own_sampler,
+         .own_from_world = own_from_world,
+         .map = *map,
+         .sources = sources,
+         .grid = LatLongGrid(std::max(2, width / kMoverStep), std::max(1, height / kMoverStep)),
+         .world_from_grid = world_from_output_matrix,
+         .misalignment_px = options.misalignment_px});
+  }
+
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 8, [&](int begin, int end) {
-    std::array<Sample, kMaxSources> samples;
+    MergeSamples samples;
+    std::array<std::uint8_t, kMaxMergeViews> view_bit{};  // of each sample
     RayRow rays;
     PointRow own_points;
     PointRow map_points;
-    std::array<SeenRow, kMaxSources> seen;
+    std::array<SeenRow, kMaxMergeViews> seen;
     std::vector<float> known_disparity(static_cast<std::size_t>(width), 0.0F);
     for (int y = begin; y < end; ++y) {
       RaysOfRow(output, y, 0, 1, world_from_output_matrix, &rays);
@@ -468,7 +379,11 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const DisparityLookup::Value d = disparity->At(map_points.x[i], map_points.y[i], -1.0F);
           view.disparity.at(x, y) = d.disparity;
           view.confidence.at(x, y) = d.confidence;
-          known_disparity[i] = d.disparity >= 0.0F ? d.disparity : 0.0F;
+          if (movers.Has(x / kMoverStep, y / kMoverStep)) {
+            view.disparity.at(x, y) = movers.disparity.at(x / kMoverStep, y / kMoverStep);
+          }
+          const float known = view.disparity.at(x, y);
+          known_disparity[i] = known >= 0.0F ? known : 0.0F;
         }
       }
       for (std::size_t n = 0; n < sources.size(); ++n) {
@@ -478,9 +393,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       for (int x = 0; x < width; ++x) {
         const auto i = static_cast<std::size_t>(x);
         const RadianceSample own_raw = own_sampler.SampleAt(own_points.x[i], own_points.y[i]);
-        samples[0] = make_sample(own, own_raw);
+        samples[0] = MakeMergeSample(own, own_raw);
         if (by_hat) SetHatWeights(own, own_raw.rgb, &samples[0]);
-        const Sample& mine = samples[0];
+        MergeSample& mine = samples[0];
+        view_bit[0] = 1;
+        const bool by_mover = movers.Has(x / kMoverStep, y / kMoverStep);
+        const bool is_marked = (mine.flags & kMover) != 0;
         const bool own_is_clipped =
             (mine.flags & kMasked) == 0 && (mine.flags & kSaturatedAny) != 0;
         std::size_t count = 1;
@@ -496,16 +414,20 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
 
         const float cell_x = (static_cast<float>(x) + 0.5F) * cells_per_pixel_x;
         const float cell_y = (static_cast<float>(y) + 0.5F) * cells_per_pixel_y;
-        for (std::size_t n = 0; n < sources.size() && !is_guess; ++n) {
+        const bool asks_others = !is_guess && (!is_marked || by_mover);
+        for (std::size_t n = 0; n < sources.size() && asks_others; ++n) {
           const SourceLookup& source = sources[n];
-          const Sight sight = SightOf(source, seen[n], i, d.disparity, occlusion_tolerance);
+          // Beside a mover the map tells of the mover.
+          const Sight sight = by_mover
+                                  ? Sight::kVisible
+                                  : SightOf(source, seen[n], i, d.disparity, occlusion_tolerance);
           // What a disparity map calls hidden is asked only where this view itself does not know.
           if (sight == Sight::kUnknown || (sight == Sight::kHidden && !own_is_clipped)) continue;
           const float px = seen[n].image.x[i];
           const float py = seen[n].image.y[i];
           const RadianceSample raw = source.sampler->SampleAt(px, py);
-          if ((raw.flags & kMasked) != 0) continue;
-          Sample s = make_sample(*source.measurement, raw);
+          if ((raw.flags & (kMasked | kMover)) != 0) continue;
+          MergeSample s = MakeMergeSample(*source.measurement, raw);
           s.hidden = sight == Sight::kHidden;
           s.trust = source.block_trust.at(x / kBlock, y / kBlock);
           const float factor = source.agreement.Factor(cell_x, cell_y);
@@ -518,19 +440,22 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                 factor * LocalContrast(*source.measurement, px, py) * misregistration;
             const float relative =
                 options.model_error * options.model_error + source.agreement.excess();
+            s.relative = relative;
             for (std::size_t c = 0; c < 3; ++c) {
               s.variance[c] += contrast * contrast + relative * s.radiance[c] * s.radiance[c];
             }
           }
           if (by_hat) SetHatWeights(*source.measurement, raw.rgb, &s);
+          view_bit[count] = static_cast<std::uint8_t>(2U << n);
           samples[count++] = s;
         }
+        if (by_mover && !TakeBackground(is_marked, count, &samples)) count = 1;
 
         // How well each other sample agrees with what this view itself saw, as an interval per
         // channel.
         if (options.consistency && (mine.flags & kMasked) == 0) {
           for (std::size_t k = 1; k < count; ++k) {
-            Sample& s = samples[k];
+            MergeSample& s = samples[k];
             if (!s.usable) continue;
             float chi = 0.0F;
             for (std::size_t c = 0; c < 3; ++c) {
@@ -545,6 +470,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             const float r = chi / (3.0F * kHalfTrustSigmas * kHalfTrustSigmas);
             s.trust *= 1.0F / (1.0F + r * r);
           }
+          if ((mine.flags & (kSaturatedAny | kDarkAny)) != 0) DropMinority(count, &samples);
         }
 
         float* out = view.radiance.pixel(x, y);
@@ -570,13 +496,15 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           // A common estimate of the signal first, so that noise does not bias the weights.
           std::array<float, 3> signal{};
           std::array<float, 3> signal_weight{};
+          std::array<float, kMaxMergeViews> share{};
           for (std::size_t k = 0; k < count; ++k) {
-            const Sample& s = samples[k];
+            const MergeSample& s = samples[k];
             if (!s.usable) continue;
             for (std::size_t c = 0; c < 3; ++c) {
               const float w = by_hat ? s.trust * s.hat[c] : s.trust / s.variance[c];
               signal[c] += w * s.radiance[c];
               signal_weight[c] += w;
+              if (c == 1) share[k] = w;
             }
             dark = dark && (s.flags & kDarkAny) == kDarkAny;
           }
@@ -585,6 +513,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             if (options.consistency && (mine.flags & kSaturatedBit[c]) != 0) {
               out[c] = std::max(out[c], mine.radiance[c]);
             }
+          }
+          std::uint8_t& contributed = view.sources.at(x, y);
+          for (std::size_t k = 0; k < count; ++k) {
+            if (share[k] >= kLeastShare * signal_weight[1]) contributed |= view_bit[k];
           }
           view.origin.at(x, y) =
               static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
@@ -604,6 +536,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
             if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
             is_bounded = true;
             clipped = static_cast<std::uint8_t>(clipped & samples[k].flags);
+            if (samples[k].radiance[1] > out[1]) view.sources.at(x, y) = view_bit[k];
             for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
           }
           NeutraliseClipped(clipped, out);

@@ -8,6 +8,7 @@
 #include "core/photometry/measurement.h"
 #include "core/photometry/merge_rows.h"
 #include "core/sphere/pose.h"
+#include "core/stereo/methods.h"
 #include "core/stereo/sgm.h"
 
 namespace omnihdr {
@@ -24,6 +25,9 @@ struct MergeSource {
   const Measurement* measurement = nullptr;
   Pose world_from_camera;
   const DisparityMap* disparity = nullptr;  // its own map, or null when not made yet
+  // Its own map as matched, for what is behind movers: read when those are to be removed. May be
+  // null.
+  const DisparityMap* matched = nullptr;
 };
 
 struct MergeOptions {
@@ -42,6 +46,7 @@ struct MergeOptions {
   // in the thesis (5.2.2).
   bool consistency = true;
   bool occlusion = true;  // whether what something nearer hides in another view is left out
+  MergeMovers movers = MergeMovers::kKeep;
   // Whether the reference's exposure label is tested against its neighbours; the largest relative
   // correction. See MergedView::exposure.
   bool refine_exposure = true;
@@ -64,6 +69,9 @@ struct MergedView {
   Image<float> disparity;      // W×H; NaN = unknown
   Image<float> confidence;     // W×H, 0..1
   Image<std::uint8_t> origin;  // W×H, PixelOrigin
+  // W×H: which views a pixel is made of, those with a tenth of the weight or more (of a clipped
+  // pixel: those whose bound it is): bit 0 the reference, bit n the n-th of `others`.
+  Image<std::uint8_t> sources;
   ExposureTest exposure;
 };
 

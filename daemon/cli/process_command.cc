@@ -34,6 +34,8 @@ struct ProcessArguments {
   std::string exr_type;
   std::string weights;
   std::string nan;
+  std::string movers;
+  std::string mover_masks;
   std::vector<double> white_balance;
   bool no_refine = false;
   int width = 0;
@@ -63,6 +65,9 @@ Result<PipelineOptions> OptionsOf(const ProcessArguments& arguments) {
   if (arguments.nan == "never") options.nan = NanPixels::kNever;
   if (arguments.nan == "no-data") options.nan = NanPixels::kNoData;
   if (arguments.nan == "unmeasured") options.nan = NanPixels::kUnmeasured;
+  if (arguments.movers == "keep") options.movers = MergeMovers::kKeep;
+  if (arguments.movers == "remove") options.movers = MergeMovers::kRemove;
+  if (!arguments.mover_masks.empty()) options.mover_masks = arguments.mover_masks;
   if (!arguments.white_balance.empty()) {
     OMNIHDR_ASSIGN(options.white_balance, WhiteBalanceOf(arguments.white_balance));
   }
@@ -244,6 +249,12 @@ void AddProcessCommand(CLI::App& app, CommandRun& run) {
                    "never, no-data or unmeasured: pixels that are NaN instead of an estimate "
                    "(output.nan)")
       ->check(CLI::IsMember({"never", "no-data", "unmeasured"}));
+  command
+      ->add_option("--movers", arguments->movers,
+                   "keep or remove: what moved between the frames (merge.movers)")
+      ->check(CLI::IsMember({"keep", "remove"}));
+  command->add_option("--mover-masks", arguments->mover_masks,
+                      "folder, in the session, of masks of what moves (merge.mover_masks)");
   AddWhiteBalanceOption(command, "gains on R,G,B, as in 1.9,1,1.4 (photometry.white_balance)",
                         &arguments->white_balance);
   command->add_flag("--no-refine", arguments->no_refine,

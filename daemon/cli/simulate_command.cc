@@ -24,6 +24,7 @@ struct SimulateArguments {
   int count = 3;
   double gain_db = 0.0;
   double rotation_deg = 0.0;
+  double mover_step_m = 0.4;
   bool no_odometer = false;
   bool quiet = false;
   sim::SimulateOptions options;
@@ -71,6 +72,12 @@ Result<int> Simulate(const SimulateArguments& arguments) {
       return Fail(ErrorKind::kUsage, "--rotation-deg: needs a --spacing above 0");
     }
     options.simulation.motion.yaw_deg_per_m = arguments.rotation_deg / options.spacing_m;
+  }
+  if (options.simulation.movers.count > 0) {
+    if (!(options.spacing_m > 0.0)) {
+      return Fail(ErrorKind::kUsage, "--movers: needs a --spacing above 0");
+    }
+    options.simulation.movers.speed = arguments.mover_step_m / options.spacing_m;
   }
   const auto progress = [&](const FrameRecord& record) {
     if (arguments.quiet) return;
@@ -141,6 +148,16 @@ void AddSimulateCommand(CLI::App& app, CommandRun& run) {
                    "turn of the camera from one position to the next")
       ->capture_default_str();
   command->add_option("--sway-deg", options.simulation.motion.sway_deg, "pitching and rolling")
+      ->capture_default_str();
+  command
+      ->add_option("--movers", options.simulation.movers.count,
+                   "people who walk about near the way; where they are seen goes into movers/")
+      ->check(CLI::Range(0, 16))
+      ->capture_default_str();
+  command
+      ->add_option("--mover-step", arguments->mover_step_m,
+                   "metres each of them walks from one position to the next")
+      ->check(CLI::Range(0.0, 30.0))
       ->capture_default_str();
   command
       ->add_option("--full-well", options.simulation.sensor.full_well_e,

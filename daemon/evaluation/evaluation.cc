@@ -18,6 +18,7 @@
 #include "core/quality/picture_metrics.h"
 #include "core/session/session_reader.h"
 #include "core/session/view_writer.h"
+#include "daemon/evaluation/mover_score.h"
 #include "daemon/evaluation/reference.h"
 #include "daemon/evaluation/view_files.h"
 
@@ -120,15 +121,19 @@ std::optional<double> MeanBaseline(const Places& places, Places::const_iterator 
   return sum / count;
 }
 
-struct Range {
-  float low = 0.0F;
-  float high = std::numeric_limits<float>::infinity();
-};
-
-// The radiance that the session's exposures can measure: from the usable range's low end at the
-// longest to its high end at the shortest.
-Range BracketRange(const SessionContents& contents) {
+// The radiance that frames can measure: from the usable range's low end at the longest exposure to
+// its high end at the shortest.
+MeasurableRange RangeOf(const SessionContents& contents, double longest_s, double shortest_s) {
   const MeasureOptions usable;
+  MeasurableRange range;
+  range.low =
+      static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_low) / longest_s);
+  range.high = static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_high) /
+                                  shortest_s);
+  return range;
+}
+
+MeasurableRange BracketRange(const SessionContents& contents) {
   double longest = 0.0;
   double shortest = std::numeric_limits<double>::infinity();
   for (const FrameRecord& frame : contents.journal.frames) {
@@ -136,13 +141,30 @@ Range BracketRange(const SessionContents& contents) {
     longest = std::max(longest, frame.exposure.EffectiveSeconds());
     shortest = std::min(shortest, frame.exposure.EffectiveSeconds());
   }
-  if (!(longest > 0.0)) return {};
-  Range range;
-  range.low =
-      static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_low) / longest);
-  range.high =
-      static_cast<float>(contents.info.response.ExposureFromValue(1, usable.value_high) / shortest);
-  return range;
+  return longest > 0.0 ? RangeOf(contents, longest, shortest) : MeasurableRange{};
+}
+
+// A frame of each other position that contributed to a view.
+std::vector<const FrameRecord*> OtherFrames(const SessionContents& contents, const Place& place) {
+  std::vector<const FrameRecord*> others;
+  for (const FrameRecord& frame : contents.journal.frames) {
+    const std::vector<std::uint64_t>& used = place.view.frames;
+    if (frame.position == place.own->position ||
+        std::find(used.begin(), used.end(), Value(frame.frame)) == used.end() ||
+        (!others.empty() && others.back()->position == frame.position)) {
+      continue;
+    }
+    others.push_back(&frame);
+  }
+  return others;
+}
+
+// Whether a view was made to show the background instead of what moves: its methods are in what the
+// pipeline continues from.
+bool RemovesMovers(const ViewRecord& view) {
+  const auto resume = nlohmann::json::parse(view.resume_json, nullptr, false);
+  return resume.is_object() && resume.contains("methods") && resume["methods"].is_string() &&
+         resume["methods"].get<std::string>().find("merge.movers = remove") != std::string::npos;
 }
 
 bool Known(const float* rgb) {
@@ -156,11 +178,18 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
   const int width = view.radiance.width();
   const int height = view.radiance.height();
   const Projection output = Projection::Equirectangular(width, height);
-  OMNIHDR_ASSIGN(const Reference::Picture truth,
+  OMNIHDR_ASSIGN(Reference::Picture truth,
                  reference.Render(*place.own, output, view.record.orientation));
+  OMNIHDR_ASSIGN(const Reference::Movers movers,
+                 reference.FindMovers(*place.own, OtherFrames(contents, place), output,
+                                      view.record.orientation));
+  const bool removes = RemovesMovers(view.record);
+  const Image<float> now = truth.radiance.Clone();
+  // What such a view should show.
+  if (removes && !movers.background.empty()) truth.radiance = movers.background.Clone();
   OMNIHDR_ASSIGN(const Image<float> own,
                  OwnFrameRadiance(session, measurer, *place.own, output, view.record.orientation));
-  const Range range = BracketRange(contents);
+  const MeasurableRange range = BracketRange(contents);
   ComparisonArea area = SphereArea(output);
   Image<std::uint8_t> compared(width, height, 1);
   Image<std::uint8_t> seen(width, height, 1);  // by the own frame
@@ -192,6 +221,22 @@ Status ScorePictures(const std::filesystem::path& session, const SessionContents
   });
   score.view = scores[0];
   score.own_frame = scores[1];
+  if (!view.sources.empty() && view.sources.width() == width) {
+    score.seams = FindSeams(view.radiance, truth.radiance, view.sources, area, /*wraps=*/true);
+  }
+  if (!movers.background.empty()) {
+    const double seconds = place.own->exposure.EffectiveSeconds();
+    score.movers = ScoreMovers({.view = view.radiance,
+                                .view_scale = score.view->errors.scale,
+                                .own_frame = own,
+                                .own_scale = score.own_frame->errors.scale,
+                                .truth = now,
+                                .movers = movers,
+                                .bracket = range,
+                                .own = RangeOf(contents, seconds, seconds),
+                                .removes = removes},
+                               area);
+  }
   const double stops = RangeOfRadiance(truth.radiance, compared).Stops();
   score.range_share = stops > 0.0 ? RangeOfRadiance(view.radiance, compared).Stops() / stops : 0.0;
 
@@ -215,6 +260,12 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
   SessionScore::Mean mean;
   double bad1 = 0.0;
   double relative = 0.0;
+  double mover_weight = 0.0;
+  double mover_off = 0.0;
+  double mover_own_off = 0.0;
+  double seam_noise = 0.0;
+  double seam_log10 = 0.0;
+  int with_seams = 0;
   int with_disparity = 0;
   int with_relative = 0;
   for (const PositionScore& p : positions) {
@@ -222,6 +273,16 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
       mean.rotation_deg = std::max(mean.rotation_deg.value_or(0.0), p.pose->rotation_deg);
       mean.translation_percent =
           std::max(mean.translation_percent.value_or(0.0), p.pose->translation_percent);
+    }
+    if (p.movers && p.movers->view.pixels > 0) {
+      mover_weight += p.movers->view.weight;
+      mover_off += p.movers->view.weight * p.movers->view.share_off;
+      mover_own_off += p.movers->view.weight * p.movers->own_frame.share_off;
+    }
+    if (p.seams && p.seams->borders > 0) {
+      ++with_seams;
+      seam_noise += p.seams->excess_noise;
+      seam_log10 += p.seams->excess_log10;
     }
     if (!p.view || !std::isfinite(p.view->errors.log10_rmse)) continue;
     ++mean.positions;
@@ -249,6 +310,14 @@ std::optional<SessionScore::Mean> MeanOf(const std::vector<PositionScore>& posit
        {&mean.view_rmse, &mean.own_rmse, &mean.view_p95, &mean.own_p95, &mean.view_ssim,
         &mean.own_ssim, &mean.view_psnr_mu, &mean.own_psnr_mu, &mean.covered, &mean.range_share}) {
     *sum /= mean.positions;
+  }
+  if (mover_weight > 0.0) {
+    mean.movers_off = mover_off / mover_weight;
+    mean.movers_own_off = mover_own_off / mover_weight;
+  }
+  if (with_seams > 0) {
+    mean.seam_noise = seam_noise / with_seams;
+    mean.seam_log10 = seam_log10 / with_seams;
   }
   if (with_disparity > 0) mean.disparity_bad1 = bad1 / with_disparity;
   if (with_relative > 0) mean.disparity_relative = relative / with_relative;

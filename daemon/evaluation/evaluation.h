@@ -11,9 +11,11 @@
 #include "core/image/image.h"
 #include "core/quality/comparison_area.h"
 #include "core/quality/disparity_metrics.h"
+#include "core/quality/mover_metrics.h"
 #include "core/quality/pose_metrics.h"
 #include "core/quality/radiance_metrics.h"
 #include "core/quality/reliability.h"
+#include "core/quality/seam_metrics.h"
 #include "core/session/session.h"
 #include "daemon/evaluation/own_frame.h"
 #include "daemon/evaluation/plot.h"
@@ -37,6 +39,16 @@ struct RadianceScore {
 RadianceScore ScoreRadiance(ImageView<const float> tested, ImageView<const float> truth,
                             const ComparisonArea& area);
 
+// What the view shows where something moved: pixels that show it, and pixels whose background it
+// hid from another view. A view that keeps movers must show its own frame's instant; where that
+// frame was clipped or dark the background is accepted as well. One that removes them must show the
+// background; where fewer than two other views saw it, its own frame's instant is accepted too.
+struct MoverScore {
+  bool removes = false;
+  InstanceErrors view;  // off by more than 0.3 in log10 from all that is accepted
+  InstanceErrors own_frame;
+};
+
 struct PositionScore {
   PositionId position{};
   Exposure exposure;                      // of the reference frame
@@ -59,6 +71,8 @@ struct PositionScore {
   double range_share = 0.0;
   std::optional<DisparityErrors> disparity;
   std::optional<PoseErrors> pose;
+  std::optional<MoverScore> movers;  // where any are known
+  std::optional<SeamErrors> seams;   // where the view tells the sources of its pixels
 };
 
 struct SessionScore {
@@ -77,6 +91,10 @@ struct SessionScore {
     double own_psnr_mu = 0.0;
     double covered = 0.0;
     double range_share = 0.0;
+    std::optional<double> movers_off;  // of all positions' mover areas together
+    std::optional<double> movers_own_off;
+    std::optional<double> seam_noise;
+    std::optional<double> seam_log10;
     std::optional<double> disparity_bad1;
     std::optional<double> disparity_relative;
     std::optional<double> rotation_deg;         // largest, not mean

@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string_view>
+#include <vector>
 
 #include "core/base/result.h"
 #include "core/image/image.h"
@@ -22,6 +23,13 @@ class Reference {
     Image<float> radiance;   // W×H×3, relative radiance in the session's unit; NaN = not known
     Image<float> disparity;  // W×H×1, 1/metre, 0 = infinity; empty when not known
   };
+  // What is known of things that moved while a view's frames were taken.
+  struct Movers {
+    Image<float> background;        // W×H×3, the scene without them; empty = nothing moved
+    Image<std::uint8_t> here;       // W×H, non-zero where one is seen at the view's own instant
+    Image<std::uint8_t> in_sight;   // non-zero where one hid the background from another view
+    Image<std::uint8_t> witnesses;  // how many of the others see the background there
+  };
   virtual ~Reference() = default;
   // For people: "simulation (hall, seed 1)", "photographs".
   virtual std::string_view name() const = 0;
@@ -30,6 +38,13 @@ class Reference {
   // The scene as seen from where `frame` was taken, on the grid of a written view.
   virtual Result<Picture> Render(const FrameRecord& frame, const Projection& output,
                                  const Eigen::Quaterniond& camera_from_output) const = 0;
+  // The same grid. `others`: one frame of each other position that contributed to the view.
+  virtual Result<Movers> FindMovers(const FrameRecord& /*frame*/,
+                                    const std::vector<const FrameRecord*>& /*others*/,
+                                    const Projection& /*output*/,
+                                    const Eigen::Quaterniond& /*camera_from_output*/) const {
+    return Movers{};
+  }
 };
 
 // The reference of a session: the simulator's scene when session.json names one ("simulation");

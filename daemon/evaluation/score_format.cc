@@ -108,6 +108,19 @@ std::vector<Column> Columns(const SessionScore& score) {
          return p.view ? std::optional(100.0 * p.range_share) : std::nullopt;
        },
        Percent(mean(&Mean::range_share))},
+      {"movers", "off %", 2,
+       Of(
+           &PositionScore::movers, +[](const MoverScore& m) { return 100.0 * m.view.share_off; }),
+       Percent(mean_or_none(&Mean::movers_off))},
+      {"movers", "own %", 2,
+       Of(
+           &PositionScore::movers,
+           +[](const MoverScore& m) { return 100.0 * m.own_frame.share_off; }),
+       Percent(mean_or_none(&Mean::movers_own_off))},
+      {"seams", "noise", 3,
+       Of(
+           &PositionScore::seams, +[](const SeamErrors& s) { return s.excess_noise; }),
+       mean_or_none(&Mean::seam_noise)},
       {"disparity", "bad1 %", 1,
        Of(
            &PositionScore::disparity, +[](D d) { return 100.0 * d.bad1; }),
@@ -145,8 +158,17 @@ std::string FormatScoreTable(const SessionScore& score) {
     out += fmt::format(
         "Against: {}. RMSE and p95 are of log10 luminance, after one factor a picture; \"own\" is "
         "the\n"
-        "position's own frame alone. Only what the bracket can measure is compared.\n\n",
+        "position's own frame alone. Only what the bracket can measure is compared.\n",
         score.reference);
+    if (score.mean->movers_off) {
+      out +=
+          "Movers: share of the area they touch that is off by more than 0.3 in log10 from what "
+          "it may show.\n";
+    }
+    if (score.mean->seam_noise) {
+      out += "Seams: step where the views merged change, beyond that beside it, in pixel noise.\n";
+    }
+    out += "\n";
   }
   // Columns in which nothing is known are left out.
   std::vector<std::vector<std::string>> lines(score.positions.size() + 3);
@@ -259,6 +281,19 @@ std::string FormatScoreJson(const SessionScore& score) {
       item["covered"] = Number(p.covered);
       item["range_share"] = Number(p.range_share);
     }
+    if (p.movers) {
+      item["movers"] = {{"mode", p.movers->removes ? "remove" : "keep"},
+                        {"share_off", Number(p.movers->view.share_off)},
+                        {"own_share_off", Number(p.movers->own_frame.share_off)},
+                        {"area_sr", Number(p.movers->view.weight)},
+                        {"pixels", p.movers->view.pixels}};
+    }
+    if (p.seams) {
+      item["seams"] = {{"borders", p.seams->borders},
+                       {"excess_noise", Number(p.seams->excess_noise)},
+                       {"excess_log10", Number(p.seams->excess_log10)},
+                       {"visible", Number(p.seams->visible)}};
+    }
     if (p.disparity) {
       item["disparity"] = {{"bad1", Number(p.disparity->bad1)},
                            {"bad1_of_known", Number(p.disparity->bad1_of_known)},
@@ -298,6 +333,10 @@ std::string FormatScoreJson(const SessionScore& score) {
                     {"own_psnr_mu", Number(m.own_psnr_mu)},
                     {"covered", Number(m.covered)},
                     {"range_share", Number(m.range_share)},
+                    {"movers_share_off", Number(m.movers_off)},
+                    {"movers_own_share_off", Number(m.movers_own_off)},
+                    {"seam_excess_noise", Number(m.seam_noise)},
+                    {"seam_excess_log10", Number(m.seam_log10)},
                     {"disparity_bad1", Number(m.disparity_bad1)},
                     {"disparity_median_relative", Number(m.disparity_relative)},
                     {"largest_rotation_deg", Number(m.rotation_deg)},

@@ -1,11 +1,15 @@
 #include "daemon/evaluation/simulation_truth.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <nlohmann/json.hpp>
 #include <utility>
+#include <vector>
 
+#include "core/base/parallel_for.h"
+#include "drivers/sim/movers.h"
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
 
@@ -36,11 +40,24 @@ std::optional<Pose> PoseOf(const std::string& truth_json) {
   return Pose{rotation.normalized(), Eigen::Vector3d((*t)[0], (*t)[1], (*t)[2])};
 }
 
+std::optional<double> OdometerOf(const std::string& truth_json) {
+  const auto json = nlohmann::json::parse(truth_json, nullptr, false);
+  if (!json.is_object() || !json.contains("odometer_m") || !json["odometer_m"].is_number()) {
+    return std::nullopt;
+  }
+  return json["odometer_m"].get<double>();
+}
+
+sim::Vec3 ToVec3(const Eigen::Vector3d& v) {
+  return {static_cast<float>(v.x()), static_cast<float>(v.y()), static_cast<float>(v.z())};
+}
+
 class SimulationTruth final : public Reference {
  public:
-  SimulationTruth(std::shared_ptr<const sim::World> world, int samples)
+  SimulationTruth(std::shared_ptr<const sim::World> world, const sim::Simulation& simulation)
       : world_(std::move(world)),
-        samples_(samples),
+        simulation_(simulation),
+        walks_(simulation.PlanWalks(*world_)),
         name_(fmt::format("simulation ({}, seed {})", sim::ToString(world_->scene()),
                           world_->seed())) {}
 
@@ -68,7 +85,8 @@ class SimulationTruth final : public Reference {
                   Value(frame.frame));
     }
     const Pose output_pose = *camera * Pose{camera_from_output, Eigen::Vector3d::Zero()};
-    sim::RenderedView rendered = world_->Render(output_pose, output, samples_);
+    OMNIHDR_ASSIGN(const sim::MoverGroup movers, MoversAt(frame));
+    sim::RenderedView rendered = world_->Render(output_pose, output, simulation_.samples, &movers);
     Picture picture;
     picture.radiance = std::move(rendered.radiance);
     picture.disparity = std::move(rendered.distance);
@@ -76,9 +94,75 @@ class SimulationTruth final : public Reference {
     return picture;
   }
 
+  Result<Movers> FindMovers(const FrameRecord& frame, const std::vector<const FrameRecord*>& others,
+                            const Projection& output,
+                            const Eigen::Quaterniond& camera_from_output) const override {
+    Movers found;
+    if (walks_.empty()) return found;
+    OMNIHDR_ASSIGN(const std::optional<Pose> camera, TruePose(frame));
+    OMNIHDR_ASSIGN(const sim::MoverGroup here, MoversAt(frame));
+    if (!camera || here.empty()) return found;
+    struct Witness {
+      Eigen::Vector3d place;
+      sim::MoverGroup movers;
+    };
+    std::vector<Witness> witnesses;
+    for (const FrameRecord* other : others) {
+      OMNIHDR_ASSIGN(const std::optional<Pose> pose, TruePose(*other));
+      OMNIHDR_ASSIGN(sim::MoverGroup movers, MoversAt(*other));
+      if (pose) witnesses.push_back({pose->translation, std::move(movers)});
+    }
+    const Pose output_pose = *camera * Pose{camera_from_output, Eigen::Vector3d::Zero()};
+    sim::RenderedView view = world_->Render(output_pose, output, simulation_.samples, &here);
+    const int width = output.width();
+    const int height = output.height();
+    found.background = std::move(view.background);
+    found.here = Image<std::uint8_t>(width, height);
+    found.in_sight = Image<std::uint8_t>(width, height);
+    found.witnesses = Image<std::uint8_t>(width, height);
+    ParallelFor(height, 8, [&](int begin, int end) {
+      constexpr double kSky = 1e4;  // metres; the simulator's sky is at infinity
+      for (int y = begin; y < end; ++y) {
+        for (int x = 0; x < width; ++x) {
+          found.here.at(x, y) = view.movers.at(x, y) > 0.0F ? 1 : 0;
+          const double distance =
+              std::min(static_cast<double>(view.background_distance.at(x, y)), kSky);
+          const Eigen::Vector3d surface =
+              output_pose.translation +
+              distance *
+                  (output_pose.rotation * output.RayFromPixel(x + 0.5, y + 0.5)).normalized();
+          for (const Witness& witness : witnesses) {
+            const Eigen::Vector3d towards = surface - witness.place;
+            const double length = towards.norm();
+            const bool is_hidden = witness.movers.Hides(
+                ToVec3(witness.place), ToVec3(towards / length), static_cast<float>(length));
+            if (is_hidden) found.in_sight.at(x, y) = 1;
+            if (!is_hidden && world_->IsClear(witness.place, surface)) {
+              ++found.witnesses.at(x, y);
+            }
+          }
+        }
+      }
+    });
+    return found;
+  }
+
  private:
+  Result<sim::MoverGroup> MoversAt(const FrameRecord& frame) const {
+    if (walks_.empty()) return sim::MoverGroup();
+    const std::optional<double> odometer = OdometerOf(frame.truth_json);
+    if (!odometer) {
+      return Fail(ErrorKind::kData,
+                  "frames.jsonl: frame {}: truth.odometer_m: missing, expected the metres driven, "
+                  "which say where the movers are",
+                  Value(frame.frame));
+    }
+    return simulation_.MoversAt(*world_, walks_, *odometer);
+  }
+
   std::shared_ptr<const sim::World> world_;
-  int samples_;
+  sim::Simulation simulation_;
+  std::vector<sim::Walk> walks_;
   std::string name_;
 };
 
@@ -89,7 +173,7 @@ Result<std::unique_ptr<Reference>> OpenSimulationTruth(const std::string& extra_
   OMNIHDR_ASSIGN(const sim::Simulation simulation,
                  sim::ParseSimulation(extra_json).Context(session_file));
   return std::make_unique<SimulationTruth>(sim::World::Create(simulation.scene, simulation.seed),
-                                           simulation.samples);
+                                           simulation);
 }
 
 }  // namespace omnihdr

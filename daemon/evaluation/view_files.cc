@@ -1,5 +1,6 @@
 #include "daemon/evaluation/view_files.h"
 
+#include <algorithm>
 #include <system_error>
 #include <utility>
 
@@ -17,6 +18,13 @@ Result<ViewFiles> ReadView(const std::filesystem::path& views, PositionId positi
   OMNIHDR_ASSIGN(view.radiance, RadianceOf(radiance, radiance_path.string()));
   if (const auto origin = radiance.channels.find("origin"); origin != radiance.channels.end()) {
     view.origin = std::move(origin->second);
+  }
+  if (const auto sources = radiance.channels.find("sources"); sources != radiance.channels.end()) {
+    const Image<float>& values = sources->second;
+    view.sources = Image<std::uint8_t>(values.width(), values.height());
+    std::transform(
+        values.values().begin(), values.values().end(), view.sources.values().begin(),
+        [](float v) { return static_cast<std::uint8_t>(v > 0.0F ? std::min(v, 255.0F) : 0.0F); });
   }
   const std::filesystem::path disparity_path = directory / "disparity.exr";
   std::error_code error;

@@ -131,7 +131,17 @@ Vec3 AnyPerpendicular(Vec3 n) {
 }  // namespace
 
 BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
-  const std::vector<Primitive>& primitives = geometry.primitives();
+  Bake(scene, geometry, geometry, nullptr);
+}
+
+BakedLight::BakedLight(const Scene& scene, const Geometry& geometry, const BakedLight& light,
+                       const Geometry& solids) {
+  Bake(scene, solids, geometry, &light);
+}
+
+void BakedLight::Bake(const Scene& scene, const Geometry& lit, const Geometry& around,
+                      const BakedLight* finished) {
+  const std::vector<Primitive>& primitives = lit.primitives();
   struct Row {
     int primitive;
     int face;
@@ -207,7 +217,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
                 Normalised(scene.sky.sun_direction + sun_u * random.Range(-0.012F, 0.012F) +
                            sun_v * random.Range(-0.012F, 0.012F));
             const float cosine = Dot(towards, normal);
-            if (cosine > 0.0F && !geometry.Occluded(point, towards, kFar)) {
+            if (cosine > 0.0F && !around.Occluded(point, towards, kFar)) {
               sum += scene.sky.sun_irradiance * (cosine / kSunSamples);
             }
           }
@@ -227,7 +237,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
             const float cosine = Dot(towards, normal);
             const float emitted = light.both_sides ? 1.0F : -Dot(towards, light.normal);
             if (cosine <= 0.0F || emitted <= 0.0F) continue;
-            if (geometry.Occluded(point, towards, r - 0.02F)) continue;
+            if (around.Occluded(point, towards, r - 0.02F)) continue;
             sum += light.radiance * (cosine * emitted * area / (r * r + 0.02F) / kLightSamples);
           }
         }
@@ -244,7 +254,7 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
               const float cosine = Dot(towards, normal);
               const float emitted = -Dot(towards, portal.inward);
               if (cosine <= 0.0F || emitted <= 0.0F) continue;
-              if (geometry.Occluded(point, towards, r)) continue;
+              if (around.Occluded(point, towards, r)) continue;
               const Vec3 seen = scene.sky.Radiance(towards, false);
               sum += seen * (cosine * emitted * area / (r * r + 0.05F) / kPortalSamples);
             }
@@ -269,16 +279,17 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
           const float r = std::sqrt(r2);
           const Vec3 towards =
               u * (r * std::cos(angle)) + v * (r * std::sin(angle)) + normal * std::sqrt(1.0F - r2);
-          const Hit hit = geometry.Intersect(point, towards);
+          const Hit hit = around.Intersect(point, towards);
           if (!hit.valid()) {
             // Indoors the openings were sampled as portals already.
             if (!p.indoor) sum += scene.sky.Radiance(towards, false) * kPi;
             continue;
           }
-          const Primitive& other = primitives[static_cast<std::size_t>(hit.primitive)];
+          const Primitive& other = around.primitives()[static_cast<std::size_t>(hit.primitive)];
           if (p.indoor && !other.indoor) continue;
           const Vec3 albedo = MeanAlbedo(scene.materials[static_cast<std::size_t>(other.material)]);
-          sum += albedo * Lookup(direct, geometry, hit);
+          sum += albedo * (finished == nullptr ? Lookup(direct, lit, hit)
+                                               : finished->Irradiance(around, hit));
         }
         return sum * (1.0F / kGatherRays);
       },
@@ -286,9 +297,10 @@ BakedLight::BakedLight(const Scene& scene, const Geometry& geometry) {
   Smooth(indirect, 6);
 
   // Later bounces: as if every bounce gave half of the one before it indoors, a tenth outdoors.
+  // Light that is finished already has them.
   irradiance_.resize(total);
   for (std::size_t i = 0; i < primitives.size(); ++i) {
-    const float later = primitives[i].indoor ? 1.5F : 1.1F;
+    const float later = finished != nullptr ? 1.0F : (primitives[i].indoor ? 1.5F : 1.1F);
     const std::size_t end = i + 1 < primitives.size() ? grids_[first_grid_[i + 1]].offset : total;
     for (std::size_t at = grids_[first_grid_[i]].offset; at < end; ++at) {
       irradiance_[at] = direct[at] + indirect[at] * later + Vec3{kLeast, kLeast, kLeast};

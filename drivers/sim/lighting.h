@@ -15,6 +15,10 @@ class BakedLight {
  public:
   BakedLight() = default;
   BakedLight(const Scene& scene, const Geometry& geometry);
+  // Light on `solids` that stand in the scene without throwing shadows: what `light`, the scene's
+  // own, makes of `geometry` falls on them.
+  BakedLight(const Scene& scene, const Geometry& geometry, const BakedLight& light,
+             const Geometry& solids);
 
   // Irradiance at a hit, linear RGB: a diffuse surface of albedo a shines with a·E/π.
   Vec3 Irradiance(const Geometry& geometry, const Hit& hit) const;
@@ -27,6 +31,10 @@ class BakedLight {
     int rows = 1;
     bool wraps = false;  // columns go round
   };
+  // `lit`: what gets light; `around`: what throws shadows and light back, by its `finished` light;
+  // without, `around` is `lit` itself.
+  void Bake(const Scene& scene, const Geometry& lit, const Geometry& around,
+            const BakedLight* finished);
   Vec3 Lookup(const std::vector<Vec3>& texels, const Geometry& geometry, const Hit& hit) const;
   const Grid& GridOf(const Hit& hit) const {
     return grids_[first_grid_[static_cast<std::size_t>(hit.primitive)] +

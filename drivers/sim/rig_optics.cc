@@ -105,13 +105,13 @@ RigOptics::RigOptics(Rig rig) : rig_(std::move(rig)), rows_(StackedRows(rig_).va
   }
 }
 
-Image<float> RigOptics::Collect(const World& world, const Pose& world_from_camera,
-                                int samples) const {
+Image<float> RigOptics::Collect(const World& world, const Pose& world_from_camera, int samples,
+                                const MoverGroup* movers) const {
   Image<float> collected(width(), height());
   for (std::size_t s = 0; s < rig_.sensors.size(); ++s) {
     const RigSensor& sensor = rig_.sensors[s];
     const RenderedView view = world.RenderRays(world_from_camera * sensor.camera_from_sensor,
-                                               corner_rays_[s].view(), samples);
+                                               corner_rays_[s].view(), samples, movers);
     for (int y = 0; y < view.radiance.height(); ++y) {
       const float* factor = factor_.row(rows_[s] + y);
       float* out = collected.row(rows_[s] + y);

@@ -28,8 +28,9 @@ class RigOptics {
 
   // What the sensors' pixels collect, stacked top to bottom, W×H×1: each from its own place, the
   // radiance of its filter's colour (grey sensors: green) times vignetting, over gain. 0 where the
-  // lens shows nothing.
-  Image<float> Collect(const World& world, const Pose& world_from_camera, int samples) const;
+  // lens shows nothing. `movers`: who is in the world as well, null = nobody.
+  Image<float> Collect(const World& world, const Pose& world_from_camera, int samples,
+                       const MoverGroup* movers = nullptr) const;
 
   const Rig& rig() const { return rig_; }
   int width() const { return rig_.sensors.front().lens.width(); }

@@ -75,6 +75,7 @@ Result<CameraInfo> SimCamera::Open() {
   const Simulation& simulation = options_.simulation;
   if (!world_) world_ = World::Create(simulation.scene, simulation.seed);
   world_->PrepareLight();
+  if (walks_.empty()) walks_ = simulation.PlanWalks(*world_);
   if (simulation.layout == Layout::kRig && !optics_) {
     Result<Rig> rig = simulation.MakeRig();
     if (!rig) return Forward(std::move(rig).error(), "simulated camera");
@@ -250,12 +251,14 @@ Result<CameraFrame> SimCamera::Receive(Nanoseconds timeout) {
 
 std::shared_ptr<const Image<float>> SimCamera::RenderAt(double odometer_m) const {
   const Simulation& simulation = options_.simulation;
+  const Pose pose = simulation.PoseAt(*world_, odometer_m);
+  const MoverGroup movers = simulation.MoversAt(*world_, walks_, odometer_m);
   if (optics_) {
     return std::make_shared<const Image<float>>(
-        optics_->Collect(*world_, simulation.PoseAt(*world_, odometer_m), simulation.samples));
+        optics_->Collect(*world_, pose, simulation.samples, &movers));
   }
-  RenderedView view = world_->Render(simulation.PoseAt(*world_, odometer_m),
-                                     simulation.MakeProjection(), simulation.samples);
+  RenderedView view =
+      world_->Render(pose, simulation.MakeProjection(), simulation.samples, &movers);
   return std::make_shared<const Image<float>>(std::move(view.radiance));
 }
 

@@ -101,6 +101,7 @@ class SimCamera final : public Camera {
   const SystemClock clock_;
   std::shared_ptr<const World> world_;
   std::unique_ptr<const RigOptics> optics_;  // layout rig, from the first Open on
+  std::vector<Walk> walks_;                  // of the movers, from the first Open on
   Nanoseconds render_time_{0};
 
   mutable std::mutex mutex_;

@@ -8,9 +8,11 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <system_error>
 #include <utility>
 #include <vector>
 
+#include "core/base/file.h"
 #include "core/capture/recorder.h"
 #include "core/image/image_io.h"
 #include "core/photometry/mosaic.h"
@@ -36,6 +38,15 @@ std::string NowIso8601() {
   std::tm utc{};
   gmtime_r(&now, &utc);
   return fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", utc);
+}
+
+// A PNG with 255 where movers cover any of a pixel.
+Result<std::vector<std::byte>> MoverMask(const Image<float>& share) {
+  Image<std::uint8_t> mask(share.width(), share.height());
+  for (int y = 0; y < share.height(); ++y) {
+    for (int x = 0; x < share.width(); ++x) mask.at(x, y) = share.at(x, y) > 0.0F ? 255 : 0;
+  }
+  return EncodePng(mask.view());
 }
 
 // The number at a key: absent keeps `value`, another type is an error.
@@ -68,6 +79,7 @@ Status Simulation::Validate() const {
   if (layout == Layout::kRig) OMNIHDR_TRY(MakeRig());
   OMNIHDR_TRY(Check("start_m", start_m, -1e6, 1e6));
   OMNIHDR_TRY(motion.Validate());
+  OMNIHDR_TRY(movers.Validate());
   return sensor.Validate();
 }
 
@@ -123,19 +135,23 @@ CameraDescription Simulation::Camera(const Rig* rig) const {
 }
 
 std::string FormatSimulation(const Simulation& s) {
-  const Json simulation = {{"scene", ToString(s.scene)},
-                           {"seed", s.seed},
-                           {"layout", ToString(s.layout)},
-                           {"projection", ToString(s.projection)},
-                           {"width", s.width},
-                           {"samples", s.samples},
-                           {"start_m", s.start_m},
-                           {"yaw_deg_per_m", s.motion.yaw_deg_per_m},
-                           {"sway_deg", s.motion.sway_deg},
-                           {"full_well_e", s.sensor.full_well_e},
-                           {"read_noise", s.sensor.read_noise},
-                           {"prnu", s.sensor.prnu},
-                           {"noise_seed", s.sensor.seed}};
+  Json simulation = {{"scene", ToString(s.scene)},
+                     {"seed", s.seed},
+                     {"layout", ToString(s.layout)},
+                     {"projection", ToString(s.projection)},
+                     {"width", s.width},
+                     {"samples", s.samples},
+                     {"start_m", s.start_m},
+                     {"yaw_deg_per_m", s.motion.yaw_deg_per_m},
+                     {"sway_deg", s.motion.sway_deg},
+                     {"full_well_e", s.sensor.full_well_e},
+                     {"read_noise", s.sensor.read_noise},
+                     {"prnu", s.sensor.prnu},
+                     {"noise_seed", s.sensor.seed}};
+  if (s.movers.count > 0) {
+    simulation["movers"] = s.movers.count;
+    simulation["mover_speed"] = s.movers.speed;
+  }
   return Json{{"simulation", simulation}}.dump();
 }
 
@@ -172,6 +188,8 @@ Result<Simulation> ParseSimulation(const std::string& json) {
   OMNIHDR_TRY(Read(object, "start_m", s.start_m));
   OMNIHDR_TRY(Read(object, "yaw_deg_per_m", s.motion.yaw_deg_per_m));
   OMNIHDR_TRY(Read(object, "sway_deg", s.motion.sway_deg));
+  OMNIHDR_TRY(Read(object, "movers", s.movers.count));
+  OMNIHDR_TRY(Read(object, "mover_speed", s.movers.speed));
   OMNIHDR_TRY(Read(object, "full_well_e", s.sensor.full_well_e));
   OMNIHDR_TRY(Read(object, "read_noise", s.sensor.read_noise));
   OMNIHDR_TRY(Read(object, "prnu", s.sensor.prnu));
@@ -223,13 +241,36 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
 
   const std::shared_ptr<const World> world = World::Create(simulation.scene, simulation.seed);
   const Projection projection = simulation.MakeProjection();
+  const std::vector<Walk> walks = simulation.PlanWalks(*world);
+  if (!walks.empty()) {
+    std::error_code error;
+    std::filesystem::create_directories(directory / "movers", error);
+    if (error) {
+      return Fail(ErrorKind::kCannotCreate, "{}: {}", (directory / "movers").string(),
+                  error.message());
+    }
+  }
   const int per_position = plan.frames_per_position();
   for (int position = 0; position < options.positions; ++position) {
     const double odometer = position * options.spacing_m;
     const Pose pose = simulation.PoseAt(*world, odometer);
-    const Image<float> light =
-        optics ? optics->Collect(*world, pose, simulation.samples)
-               : std::move(world->Render(pose, projection, simulation.samples).radiance);
+    const MoverGroup movers = simulation.MoversAt(*world, walks, odometer);
+    Image<float> light;
+    std::vector<std::byte> mover_mask;
+    if (optics) {
+      light = optics->Collect(*world, pose, simulation.samples, &movers);
+      if (!movers.empty()) {
+        const Projection sphere =
+            Projection::Equirectangular(simulation.width, simulation.width / 2);
+        OMNIHDR_ASSIGN(mover_mask, MoverMask(world->Render(pose, sphere, 1, &movers).movers));
+      }
+    } else {
+      RenderedView view = world->Render(pose, projection, simulation.samples, &movers);
+      light = std::move(view.radiance);
+      if (!movers.empty()) {
+        OMNIHDR_ASSIGN(mover_mask, MoverMask(view.movers));
+      }
+    }
     for (int i = 0; i < per_position; ++i) {
       const auto number =
           static_cast<std::uint64_t>(position) * static_cast<std::uint64_t>(per_position) +
@@ -251,6 +292,10 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
       const Image<std::uint8_t> pixels =
           Expose(light.view(), record.exposure, simulation.sensor, number);
       OMNIHDR_ASSIGN(const std::vector<std::byte> png, EncodePng(pixels.view()));
+      if (!mover_mask.empty()) {
+        const std::filesystem::path name = std::filesystem::path(record.file).filename();
+        OMNIHDR_TRY(WriteFileAtomic(directory / "movers" / name, mover_mask));
+      }
       OMNIHDR_TRY(writer.Append(record, png));
       if (progress) progress(record);
     }

@@ -10,6 +10,7 @@
 #include "core/capture/bracket_plan.h"
 #include "core/session/session.h"
 #include "core/sphere/rig.h"
+#include "drivers/sim/movers.h"
 #include "drivers/sim/sensor.h"
 #include "drivers/sim/world.h"
 
@@ -31,6 +32,7 @@ struct Simulation {
   int samples = 4;       // rays a pixel: 1, 4, 9 or 16
   double start_m = 0.0;  // distance along the path at odometer 0
   MotionOptions motion;
+  MoverOptions movers;
   SensorOptions sensor;
 
   Status Validate() const;  // kConfig error naming the option and its range
@@ -39,6 +41,12 @@ struct Simulation {
   Projection MakeProjection() const;
   Pose PoseAt(const World& world, double odometer_m) const {
     return world.PoseAt(start_m + odometer_m, motion);
+  }
+  // The ways of the movers, to be made once, and the movers where they are at an odometer's
+  // reading: at equal readings they stand still.
+  std::vector<Walk> PlanWalks(const World& world) const { return world.PlanWalks(movers, start_m); }
+  MoverGroup MoversAt(const World& world, const std::vector<Walk>& walks, double odometer_m) const {
+    return world.MoversAt(walks, movers.speed * odometer_m);
   }
   // The unit that takes the pictures (layout rig): SimulatedUnit of the rig file, of this seed.
   Result<Rig> MakeRig() const;
@@ -65,8 +73,9 @@ struct SimulateOptions {
 };
 
 // Writes a complete session directory from a simulated drive, as fast as it can: a line and a PNG a
-// frame, truth included. `progress` (may be empty) hears of every frame stored. Equal options (with
-// `created` given) give equal bytes.
+// frame, truth included; with movers also movers/ with a PNG a frame, 255 where one is seen: on the
+// frame's own pixels, of a rig on a lat-long picture `width` wide. `progress` (may be empty) hears
+// of every frame stored. Equal options (with `created` given) give equal bytes.
 Status WriteSimulatedSession(const std::filesystem::path& directory, const SimulateOptions& options,
                              const std::function<void(const FrameRecord&)>& progress);
 

@@ -13,7 +13,9 @@
 #include "drivers/sim/geometry.h"
 #include "drivers/sim/lighting.h"
 #include "drivers/sim/material.h"
+#include "drivers/sim/movers.h"
 #include "drivers/sim/scene.h"
+#include "drivers/sim/shading.h"
 
 namespace omnihdr::sim {
 namespace {
@@ -41,51 +43,6 @@ Scene Build(SceneKind kind, std::uint64_t seed) {
 
 Vec3 ToVec3(const Eigen::Vector3d& v) {
   return {static_cast<float>(v.x()), static_cast<float>(v.y()), static_cast<float>(v.z())};
-}
-
-// Surface coordinates in metres for the texture.
-SurfacePoint Surface(const Primitive& p, const Hit& hit) {
-  SurfacePoint at;
-  const Vec3 l = hit.local;
-  at.local = l;
-  at.seed = static_cast<std::uint32_t>(hit.primitive) * 2654435761U + 12345U;
-  switch (p.shape) {
-    case Shape::kQuad:
-      at.u = l.x + p.half.x;
-      at.v = l.y + p.half.y;
-      return at;
-    case Shape::kSphere:
-      at.solid = true;
-      return at;
-    case Shape::kCylinder:
-      if (hit.face == 0) {
-        // Bark and stone go round without a seam; streaks along the axis need (u, v).
-        at.u = std::atan2(l.y, l.x) * p.half.x;
-        at.v = l.z + p.half.z;
-      } else {
-        at.u = l.x;
-        at.v = l.y;
-      }
-      return at;
-    case Shape::kBox:
-      break;
-  }
-  at.seed += static_cast<std::uint32_t>(hit.face) * 40503U;
-  switch (hit.face / 2) {
-    case 0:
-      at.u = l.y + p.half.y;
-      at.v = l.z + p.half.z;
-      break;
-    case 1:
-      at.u = l.x + p.half.x;
-      at.v = l.z + p.half.z;
-      break;
-    default:
-      at.u = l.x + p.half.x;
-      at.v = l.y + p.half.y;
-      break;
-  }
-  return at;
 }
 
 }  // namespace
@@ -124,19 +81,52 @@ struct World::Impl {
   // Radiance along a ray; `pixel` is the angle between neighbouring samples, radians.
   Vec3 Trace(Vec3 direction, float pixel, const Hit& hit) const {
     if (!hit.valid()) return scene.sky.Radiance(direction);
-    const Primitive& p = geometry.primitives()[static_cast<std::size_t>(hit.primitive)];
-    const Material& material = scene.materials[static_cast<std::size_t>(p.material)];
-    SurfacePoint at = Surface(p, hit);
-    const float cosine = std::abs(Dot(p.ToLocal(direction), LocalNormal(p, hit)));
-    // Between the pixel's size across and along the line of sight, so that floors keep some detail.
-    at.footprint = hit.t * pixel / std::sqrt(std::max(0.05F, cosine));
-    const Vec3 albedo = Albedo(material, at);
-    if (p.emission.x > 0.0F) {
-      return material.pattern == Pattern::kLitRoom || material.pattern == Pattern::kPicture
-                 ? p.emission * albedo
-                 : p.emission;
-    }
-    return albedo * light.Irradiance(geometry, hit) * (1.0F / std::numbers::pi_v<float>);
+    return Shade(scene.materials, geometry, light, direction, pixel, hit);
+  }
+
+  // Draws movers over a finished view. `ray_at(x, y, u, v)`: the unit ray through a point of a
+  // pixel; `angle_at(x, y)`: the angle one of its side × side samples stands for. A pixel they do
+  // not touch keeps its bits.
+  template <typename RayAt, typename AngleAt>
+  void AddMovers(const MoverGroup& movers, Vec3 origin, int side, const RayAt& ray_at,
+                 const AngleAt& angle_at, RenderedView* view) const {
+    const int width = view->radiance.width();
+    const int height = view->radiance.height();
+    view->background = view->radiance.Clone();
+    view->background_distance = view->distance.Clone();
+    view->movers = Image<float>(width, height);
+    const auto step = 1.0F / static_cast<float>(side);
+    ParallelFor(height, 16, [&](int begin, int end) {
+      for (int y = begin; y < end; ++y) {
+        for (int x = 0; x < width; ++x) {
+          const float behind = view->background_distance.at(x, y);
+          if (std::isnan(behind)) continue;
+          const Vec3 centre = ray_at(x, y, 0.5F, 0.5F);
+          const float angle = angle_at(x, y);
+          if (!movers.MayMeet(origin, centre, 2.0F * angle * static_cast<float>(side))) continue;
+          int covered = 0;
+          Vec3 sum;
+          for (int k = 0; k < side * side; ++k) {
+            const auto u = (static_cast<float>(k % side) + 0.5F) * step;
+            const auto v = (static_cast<float>(k / side) + 0.5F) * step;
+            const Vec3 direction = ray_at(x, y, u, v);
+            const Hit hit = geometry.Intersect(origin, direction);
+            const Hit mover = movers.Intersect(origin, direction, hit.t);
+            covered += mover.valid() ? 1 : 0;
+            sum += mover.valid() ? movers.Radiance(direction, angle, mover)
+                                 : Trace(direction, angle, hit);
+          }
+          const Hit nearest = movers.Intersect(origin, centre, behind);
+          if (nearest.valid()) view->distance.at(x, y) = nearest.t;
+          if (covered == 0) continue;
+          view->movers.at(x, y) = static_cast<float>(covered) * step * step;
+          float* out = view->radiance.pixel(x, y);
+          out[0] = sum.x * step * step;
+          out[1] = sum.y * step * step;
+          out[2] = sum.z * step * step;
+        }
+      }
+    });
   }
 };
 
@@ -159,8 +149,18 @@ std::shared_ptr<const World> World::Create(SceneKind scene, std::uint64_t seed) 
   return std::shared_ptr<const World>(new World(scene, seed));
 }
 
-RenderedView World::Render(const Pose& world_from_camera, const Projection& projection,
-                           int samples) const {
+std::vector<Walk> World::PlanWalks(const MoverOptions& options, double start_m) const {
+  return sim::PlanWalks(impl_->scene, impl_->geometry, options, seed_, start_m);
+}
+
+MoverGroup World::MoversAt(const std::vector<Walk>& walks, double walked_m) const {
+  if (walks.empty()) return {};
+  PrepareLight();
+  return {impl_->scene, impl_->geometry, impl_->light, walks, walked_m, seed_};
+}
+
+RenderedView World::Render(const Pose& world_from_camera, const Projection& projection, int samples,
+                           const MoverGroup* movers) const {
   PrepareLight();
   const int width = projection.width();
   const int height = projection.height();
@@ -260,11 +260,24 @@ RenderedView World::Render(const Pose& world_from_camera, const Projection& proj
       }
     }
   });
+  if (movers != nullptr && !movers->empty()) {
+    impl.AddMovers(
+        *movers, origin, side,
+        [&](int x, int y, float u, float v) {
+          return towards(row_of(y + static_cast<double>(v)),
+                         direction_of_column(x + static_cast<double>(u)));
+        },
+        [&](int, int y) {
+          return static_cast<float>(std::sqrt(std::max(1e-12, projection.PixelSolidAngle(y)))) /
+                 static_cast<float>(side);
+        },
+        &view);
+  }
   return view;
 }
 
 RenderedView World::RenderRays(const Pose& world_from_camera, ImageView<const float> corner_rays,
-                               int samples) const {
+                               int samples, const MoverGroup* movers) const {
   PrepareLight();
   const int width = corner_rays.width() - 1;
   const int height = corner_rays.height() - 1;
@@ -290,6 +303,14 @@ RenderedView World::RenderRays(const Pose& world_from_camera, ImageView<const fl
     const Vec3 d = Lerp(Lerp(corner(x, y), corner(x + 1, y), u),
                         Lerp(corner(x, y + 1), corner(x + 1, y + 1), u), v);
     return Normalised(axis_x * d.x + axis_y * d.y + axis_z * d.z);
+  };
+  // Angle a sample stands for: the geometric mean of the pixel's sides.
+  const auto angle_of = [&](int x, int y) {
+    const Vec3 middle = towards(x, y, 0.5F, 0.5F);
+    return std::sqrt(Length(Cross(towards(x, y, 1.0F, 0.5F) - middle,
+                                  towards(x, y, 0.5F, 1.0F) - middle)) *
+                     4.0F) /
+           static_cast<float>(side);
   };
 
   ParallelFor(height, 16, [&](int begin, int end) {
@@ -326,12 +347,7 @@ RenderedView World::RenderRays(const Pose& world_from_camera, ImageView<const fl
         const bool inside = x > 0 && x + 1 < width && y > first_row && y + 1 < last_row &&
                             same_surface(x - 1, y) && same_surface(x + 1, y) &&
                             same_surface(x, y - 1) && same_surface(x, y + 1);
-        // Angle a sample stands for: the geometric mean of the pixel's sides.
-        const Vec3 middle = towards(x, y, 0.5F, 0.5F);
-        const float pixel = std::sqrt(Length(Cross(towards(x, y, 1.0F, 0.5F) - middle,
-                                                   towards(x, y, 0.5F, 1.0F) - middle)) *
-                                      4.0F) /
-                            static_cast<float>(side);
+        const float pixel = angle_of(x, y);
         Vec3 sum;
         for (int sy = 0; sy < side; ++sy) {
           for (int sx = 0; sx < side; ++sx) {
@@ -355,6 +371,8 @@ RenderedView World::RenderRays(const Pose& world_from_camera, ImageView<const fl
       }
     }
   });
+  if (movers != nullptr && !movers->empty())
+    impl.AddMovers(*movers, origin, side, towards, angle_of, &view);
   return view;
 }
 
@@ -376,6 +394,15 @@ Pose World::PoseAt(double distance_m, const MotionOptions& motion) const {
   pose.translation = {at.x, at.y,
                       impl_->scene.camera_height + 0.015 * wave(4, 3.7) + 0.01 * wave(5, 1.9)};
   return pose;
+}
+
+bool World::IsClear(const Eigen::Vector3d& place, const Eigen::Vector3d& surface) const {
+  const Eigen::Vector3d towards = surface - place;
+  const double length = towards.norm();
+  // Short of the surface itself, which is seen at a slant.
+  const double reach = 0.995 * length - 0.01;
+  return !(reach > 0.0) || !impl_->geometry.Occluded(ToVec3(place), ToVec3(towards / length),
+                                                     static_cast<float>(reach));
 }
 
 double World::Clearance(const Eigen::Vector3d& point_in_world) const {

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string_view>
+#include <vector>
 
 #include "core/base/result.h"
 #include "core/image/image.h"
@@ -11,6 +12,10 @@
 #include "core/sphere/projection.h"
 
 namespace omnihdr::sim {
+
+class MoverGroup;
+struct MoverOptions;
+struct Walk;
 
 // The places that can be rendered.
 enum class SceneKind {
@@ -26,6 +31,11 @@ std::optional<SceneKind> SceneKindFromString(std::string_view name);
 struct RenderedView {
   Image<float> radiance;  // W×H×3: linear RGB, 1.0 = value 128 at 1 s and 0 dB
   Image<float> distance;  // W×H: metres along the ray through the pixel's centre; +inf = sky
+  // With movers in the world, else empty: the share of each pixel that they cover, 0 to 1, W×H, and
+  // the two pictures above without them.
+  Image<float> movers = {};
+  Image<float> background = {};
+  Image<float> background_distance = {};
 };
 
 // How the camera moves along the scene's path.
@@ -54,16 +64,23 @@ class World {
   void PrepareLight() const;
   // `samples` rays a pixel for the radiance (1 … 64, rounded down to a square number); the distance
   // is that of the centre ray. Uses the worker pool.
-  RenderedView Render(const Pose& world_from_camera, const Projection& projection,
-                      int samples = 4) const;
+  // `movers`: who is there as well, null = nobody.
+  RenderedView Render(const Pose& world_from_camera, const Projection& projection, int samples = 4,
+                      const MoverGroup* movers = nullptr) const;
   // The same for any picture: `corner_rays` (W+1)×(H+1)×3 are the rays, of any length and in the
   // camera's frame, through the corners of its pixels. A pixel with a corner that is not finite
   // sees nothing: radiance 0, distance NaN.
   RenderedView RenderRays(const Pose& world_from_camera, ImageView<const float> corner_rays,
-                          int samples = 4) const;
+                          int samples = 4, const MoverGroup* movers = nullptr) const;
+  // The ways of movers near the drive that begins `start_m` along the path (drivers/sim/movers.h),
+  // and who is there when each has walked so far.
+  std::vector<Walk> PlanWalks(const MoverOptions& options, double start_m) const;
+  MoverGroup MoversAt(const std::vector<Walk>& walks, double walked_m) const;
   // world_from_camera at a distance (metres, any real number) along the path: 1.5 to 2 m above the
   // ground, at least 0.4 m away from everything.
   Pose PoseAt(double distance_m, const MotionOptions& motion = {}) const;
+  // Whether nothing of the scene (movers apart) stands between a place and a point of a surface.
+  bool IsClear(const Eigen::Vector3d& place, const Eigen::Vector3d& surface) const;
   // Distance to the nearest surface, metres.
   double Clearance(const Eigen::Vector3d& point_in_world) const;
 

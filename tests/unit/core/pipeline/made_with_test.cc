@@ -26,7 +26,7 @@ std::string Of(const PipelineOptions& options, const fs::path& session) {
 
 TEST(MadeWith, AnyOptionGivesAnother) {
   const TemporaryDirectory session;
-  std::vector<PipelineOptions> all(11);
+  std::vector<PipelineOptions> all(13);
   all[1].labels = 64;
   all[2].noise.gain = 0.03;
   all[3].preview.key = 0.2;
@@ -37,6 +37,8 @@ TEST(MadeWith, AnyOptionGivesAnother) {
   all[8] = PipelineOptions::Thesis();
   all[9].keyframes = 32;
   all[10].heading_sigma_deg = 2.0;
+  all[11].movers = MergeMovers::kRemove;
+  all[12].mover_masks = "movers";
   std::set<std::string> seen;
   for (const PipelineOptions& options : all) {
     EXPECT_EQ(Of(options, session.path()), Of(options, session.path()));

@@ -18,6 +18,7 @@
 #include "core/session/journal.h"
 #include "core/session/view_writer.h"
 #include "daemon/evaluation/contact_sheet.h"
+#include "drivers/sim/movers.h"
 #include "drivers/sim/world.h"
 
 namespace omnihdr::evaluation_test {
@@ -64,6 +65,9 @@ struct View {
   Eigen::Quaterniond orientation = Eigen::Quaterniond::Identity();
   Pose pose = {};
   bool metric = false;
+  std::vector<std::uint64_t> frames = {};  // empty: its own alone
+  std::string resume_json = {};
+  Image<float> sources = {};
 };
 
 class Evaluation : public ::testing::Test {
@@ -118,6 +122,8 @@ class Evaluation : public ::testing::Test {
     record.position = PositionId{position};
     record.reference = static_cast<std::uint64_t>(position);
     record.frames = {record.reference};
+    if (!view.frames.empty()) record.frames = view.frames;
+    record.resume_json = view.resume_json;
     record.mode = "spatiotemporal";
     record.orientation = view.orientation;
     record.pose = view.pose;
@@ -129,6 +135,9 @@ class Evaluation : public ::testing::Test {
                     for (int c = 0; c < 3; ++c) {
                       channels.push_back({std::string(1, "RGB"[c]), view.radiance.view(),
                                           ExrPixelType::kFloat, c});
+                    }
+                    if (!view.sources.empty()) {
+                      channels.push_back({"sources", view.sources.view(), ExrPixelType::kHalf, 0});
                     }
                     OMNIHDR_TRY(WriteExr(folder / "radiance.exr", channels, {}));
                     if (!view.disparity.empty()) {
@@ -315,6 +324,96 @@ TEST_F(Evaluation, ASimulatedSessionIsComparedWithTheRenderedTruth) {
     EXPECT_NEAR(position.pose->rotation_deg, 0.0, 1e-4);
     EXPECT_NEAR(position.pose->translation_percent, 0.0, 1e-4);
   }
+}
+
+// A simulated drive of three positions with movers.
+struct MoverDrive {
+  std::vector<sim::RenderedView> rendered;
+  std::vector<Pose> poses;
+  std::vector<std::string> truth;
+
+  MoverDrive() {
+    const auto world = sim::World::Create(sim::SceneKind::kTunnel, 1);
+    sim::MoverOptions options;
+    options.count = 3;
+    const std::vector<sim::Walk> walks = world->PlanWalks(options, 0.0);
+    for (int i = 0; i < 3; ++i) {
+      const double odometer = 0.5 * i;
+      poses.push_back(world->PoseAt(odometer));
+      const sim::MoverGroup movers = world->MoversAt(walks, options.speed * odometer);
+      rendered.push_back(
+          world->Render(poses.back(), Projection::Equirectangular(kWidth, kHeight), 4, &movers));
+      const auto& q = poses.back().rotation;
+      const auto& t = poses.back().translation;
+      truth.push_back(fmt::format(
+          R"({{"pose": {{"q": [{}, {}, {}, {}], "t": [{}, {}, {}]}}, "odometer_m": {}}})", q.w(),
+          q.x(), q.y(), q.z(), t.x(), t.y(), t.z(), odometer));
+    }
+  }
+  View ViewOf(int position, const Image<float>& radiance) const {
+    View view;
+    view.radiance = radiance.Clone();
+    view.pose = poses[static_cast<std::size_t>(position)];
+    view.metric = true;
+    view.frames = {0, 1, 2};
+    return view;
+  }
+};
+
+TEST_F(Evaluation, WhereSomethingMovedAViewMustShowOneInstant) {
+  info_.extra_json =
+      R"({"simulation": {"scene": "tunnel", "seed": 1, "movers": 3, "mover_speed": 1.4}})";
+  const MoverDrive drive;
+  WriteSession(drive.rendered[0].radiance, drive.truth);
+  // Position 0 shows its own instant, 1 a blend of it and the background, 2 the background.
+  WriteViewOf(0, drive.ViewOf(0, drive.rendered[0].radiance));
+  Image<float> blend = drive.rendered[1].radiance.Clone();
+  for (std::size_t i = 0; i < blend.size(); ++i) {
+    blend.data()[i] =
+        std::sqrt(blend.data()[i] * std::max(drive.rendered[1].background.data()[i], 1e-6F));
+  }
+  WriteViewOf(1, drive.ViewOf(1, blend));
+  View removed = drive.ViewOf(2, drive.rendered[2].background);
+  removed.resume_json = R"({"methods": "merge.movers = remove"})";
+  WriteViewOf(2, removed);
+  const SessionScore score = Evaluate();
+  for (const PositionScore& position : score.positions) {
+    ASSERT_TRUE(position.movers) << Value(position.position);
+    EXPECT_GT(position.movers->view.pixels, 20U);
+  }
+  EXPECT_EQ(score.positions[0].movers->view.share_off, 0.0);
+  EXPECT_GT(score.positions[1].movers->view.share_off, 0.02);
+  EXPECT_EQ(score.positions[2].movers->view.share_off, 0.0);
+  EXPECT_FALSE(score.positions[0].movers->removes);
+  EXPECT_TRUE(score.positions[2].movers->removes);
+  ASSERT_TRUE(score.mean && score.mean->movers_off);
+  EXPECT_GT(*score.mean->movers_off, 0.0);
+  const auto json = nlohmann::json::parse(FormatScoreJson(score));
+  EXPECT_EQ(json["positions"][2]["movers"]["mode"], "remove");
+  EXPECT_NE(FormatScoreTable(score).find("movers"), std::string::npos);
+}
+
+TEST_F(Evaluation, AViewThatTellsItsSourcesIsSearchedForSeams) {
+  WriteSession(Truth());
+  WritePhotographs();
+  for (int i = 0; i < 2; ++i) {
+    View view{Truth(), {}};
+    view.sources = Image<float>(kWidth, kHeight, 1, 1.0F);
+    for (int y = 0; y < kHeight; ++y) {
+      for (int x = kWidth / 4; x < kWidth / 2; ++x) {
+        view.sources.at(x, y) = 3.0F;
+        for (int c = 0; c < 3; ++c) view.radiance.at(x, y, c) *= i == 0 ? 1.0F : 1.2F;
+      }
+    }
+    WriteViewOf(i, view);
+  }
+  const SessionScore score = Evaluate();
+  ASSERT_TRUE(score.positions[0].seams && score.positions[1].seams);
+  EXPECT_GT(score.positions[0].seams->borders, 60U);
+  EXPECT_LT(score.positions[0].seams->excess_log10, 0.002);
+  EXPECT_NEAR(score.positions[1].seams->excess_log10, std::log10(1.2), 0.01);
+  EXPECT_TRUE(
+      nlohmann::json::parse(FormatScoreJson(score))["mean"]["seam_excess_noise"].is_number());
 }
 
 TEST_F(Evaluation, TheContactSheetHasARowForEveryViewAndAColumnForTheErrorWhenThereIsTruth) {
