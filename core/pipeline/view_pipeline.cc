@@ -10,6 +10,7 @@
 
 #include "core/base/profile.h"
 #include "core/pipeline/quality.h"
+#include "core/stereo/confidence.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/pairwise_costs.h"
 #include "core/stereo/stability.h"
@@ -305,6 +306,7 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
     if (options_.sky) PutSkyAtInfinity(superpixels, FindSky(radiance), kLeastSkyShare, &fused);
   }
   if (options_.fill == StereoFill::kRims) FillHoles(brightness, FillOptions{}, &fused);
+  ForgetScattered(slot.stereo_view, &fused);
   return fused;
 }
 
@@ -407,6 +409,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
   view.merged =
       MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output, width, merge);
+  CalibrateConfidence(view.merged.disparity, &view.merged.confidence);
   const std::string exposure = DescribeExposureTest(view.merged.exposure, merge);
   if (!exposure.empty()) view.warnings.push_back(exposure);
   view.merge_s = merge_time.Seconds();

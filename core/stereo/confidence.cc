@@ -1,0 +1,99 @@
+#include "core/stereo/confidence.h"
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "core/base/parallel_for.h"
+
+namespace omnihdr {
+namespace {
+
+struct Knot {
+  float score;
+  float probability;
+};
+// Monotone (isotonic) fit to the shares of right pixels by score; between knots a line.
+constexpr std::array<Knot, 8> kMeasured = {{{0.05F, 0.22F},
+                                            {0.15F, 0.31F},
+                                            {0.25F, 0.44F},
+                                            {0.35F, 0.50F},
+                                            {0.50F, 0.64F},
+                                            {0.66F, 0.78F},
+                                            {0.78F, 0.87F},
+                                            {1.00F, 0.935F}}};
+constexpr float kOfFilled = 0.48F;
+constexpr float kLeastScore = 0.02F;  // below: filled
+
+constexpr float kTrustedScore = 0.4F;
+constexpr int kAreaRadius = 4;            // of the square that has to agree, in map pixels
+constexpr double kLeastAreaShare = 0.75;  // of that square's pixels
+
+}  // namespace
+
+float ProbabilityRight(float score) {
+  if (!(score >= kLeastScore)) return kOfFilled;
+  if (score <= kMeasured.front().score) return kMeasured.front().probability;
+  for (std::size_t k = 1; k < kMeasured.size(); ++k) {
+    const Knot& a = kMeasured[k - 1];
+    const Knot& b = kMeasured[k];
+    if (score > b.score) continue;
+    return a.probability +
+           (b.probability - a.probability) * (score - a.score) / (b.score - a.score);
+  }
+  return kMeasured.back().probability;
+}
+
+void CalibrateConfidence(const Image<float>& disparity, Image<float>* confidence) {
+  ParallelFor(disparity.height(), 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      for (int x = 0; x < disparity.width(); ++x) {
+        float& c = confidence->at(x, y);
+        c = disparity.at(x, y) >= 0.0F ? ProbabilityRight(c) : 0.0F;
+      }
+    }
+  });
+}
+
+void ForgetScattered(const StereoView& reference, DisparityMap* map) {
+  const int width = map->disparity.width();
+  const int height = map->disparity.height();
+  const auto says_nothing = [&](int x, int y) {
+    const std::uint64_t texel = reference.row(2 * y + 1)[2 * x + 1];
+    return (texel & 0xFFU) > ((texel >> 8U) & 0xFFU);
+  };
+  // Of each square of a row's pixels, how many are trusted; then of the rows around.
+  Image<std::uint8_t> trusted_in_row(width, height);
+  ParallelFor(height, 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      const float* confidence = map->confidence.row(y);
+      for (int x = 0; x < width; ++x) {
+        int count = 0;
+        for (int k = -kAreaRadius; k <= kAreaRadius; ++k) {
+          count += confidence[(x + k + width) % width] >= kTrustedScore ? 1 : 0;
+        }
+        trusted_in_row.at(x, y) = static_cast<std::uint8_t>(count);
+      }
+    }
+  });
+  ParallelFor(height, 16, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      const int above = std::max(0, y - kAreaRadius);
+      const int below = std::min(height - 1, y + kAreaRadius);
+      const int least = static_cast<int>(kLeastAreaShare * (2 * kAreaRadius + 1) *
+                                         static_cast<double>(below - above + 1));
+      for (int x = 0; x < width; ++x) {
+        if (!says_nothing(x, y)) continue;
+        int count = 0;
+        for (int k = above; k <= below; ++k) count += trusted_in_row.at(x, k);
+        if (count > least) continue;
+        map->disparity.at(x, y) = std::numeric_limits<float>::quiet_NaN();
+        map->confidence.at(x, y) = 0.0F;
+      }
+    }
+  });
+}
+
+}  // namespace omnihdr

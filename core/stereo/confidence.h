@@ -1,0 +1,22 @@
+#pragma once
+
+#include "core/image/image.h"
+#include "core/stereo/sgm.h"
+#include "core/stereo/stereo_view.h"
+
+namespace omnihdr {
+
+// The probability that a disparity is right, to within a pixel of parallax of a panorama 1536 wide,
+// given the score that matching and fusion left in DisparityMap::confidence; 0 = it has none, its
+// disparity was filled in from around. Rising with the score, measured on simulated drives
+// (README.md); `omnihdr evaluate` shows how far it holds.
+float ProbabilityRight(float score);
+
+// Scores of known disparities, in place, to probabilities; that of an unknown one becomes 0.
+void CalibrateConfidence(const Image<float>& disparity, Image<float>* confidence);
+
+// Where the reference itself saw nothing (masked, outside its sensors), makes unknown again what is
+// not part of an area that other views agree on: single pixels strewn about are chance.
+void ForgetScattered(const StereoView& reference, DisparityMap* map);
+
+}  // namespace omnihdr

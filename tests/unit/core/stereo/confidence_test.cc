@@ -1,0 +1,89 @@
+#include "core/stereo/confidence.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+namespace omnihdr::confidence_test {
+namespace {
+
+constexpr int kWidth = 64;
+constexpr int kHeight = 32;
+
+// A view of even grey that saw nothing from row `first_unseen` of its map on.
+StereoView View(int first_unseen) {
+  StereoView view;
+  view.width = 2 * kWidth;
+  view.height = 2 * kHeight;
+  view.texels.assign(
+      static_cast<std::size_t>(view.height + 1) * static_cast<std::size_t>(view.width + 1),
+      0x8080808080808080ULL);
+  for (std::size_t i =
+           static_cast<std::size_t>(2 * first_unseen) * static_cast<std::size_t>(view.width + 1);
+       i < view.texels.size(); ++i) {
+    view.texels[i] = 0x00FF00FF00FF00FFULL;
+  }
+  return view;
+}
+
+DisparityMap Map(float confidence) {
+  DisparityMap map;
+  map.disparity = Image<float>(kWidth, kHeight, 1, 0.5F);
+  map.confidence = Image<float>(kWidth, kHeight, 1, confidence);
+  return map;
+}
+
+TEST(ProbabilityRight, RisesWithTheScoreAndStaysAProbability) {
+  float last = 0.0F;
+  for (float score = 0.03F; score <= 1.2F; score += 0.01F) {
+    const float p = ProbabilityRight(score);
+    EXPECT_GE(p, last);
+    EXPECT_LT(p, 1.0F);
+    last = p;
+  }
+  EXPECT_GT(last, 0.9F);
+}
+
+TEST(ProbabilityRight, OfAFilledDisparityIsNeitherSureNorNothing) {
+  EXPECT_GT(ProbabilityRight(0.0F), 0.3F);
+  EXPECT_LT(ProbabilityRight(0.0F), 0.6F);
+  EXPECT_EQ(ProbabilityRight(std::numeric_limits<float>::quiet_NaN()), ProbabilityRight(0.0F));
+}
+
+TEST(CalibrateConfidence, WhatIsNotKnownHasNone) {
+  Image<float> disparity(2, 1, 1, 0.5F);
+  disparity.at(1, 0) = std::numeric_limits<float>::quiet_NaN();
+  Image<float> confidence(2, 1, 1, 0.7F);
+  CalibrateConfidence(disparity, &confidence);
+  EXPECT_EQ(confidence.at(0, 0), ProbabilityRight(0.7F));
+  EXPECT_EQ(confidence.at(1, 0), 0.0F);
+}
+
+TEST(ForgetScattered, LeavesAloneWhatTheReferenceSaw) {
+  DisparityMap map = Map(0.0F);
+  ForgetScattered(View(kHeight), &map);
+  for (const float d : map.disparity.values()) EXPECT_EQ(d, 0.5F);
+}
+
+TEST(ForgetScattered, KeepsAnAreaThatOthersAgreeOn) {
+  DisparityMap map = Map(0.8F);
+  ForgetScattered(View(16), &map);
+  for (const float d : map.disparity.values()) EXPECT_EQ(d, 0.5F);
+}
+
+TEST(ForgetScattered, DropsSinglePixelsWhereTheReferenceSawNothing) {
+  DisparityMap map = Map(0.1F);
+  for (int y = 0; y < kHeight; y += 3) {
+    for (int x = 0; x < kWidth; x += 3) map.confidence.at(x, y) = 0.8F;
+  }
+  ForgetScattered(View(16), &map);
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      EXPECT_EQ(std::isnan(map.disparity.at(x, y)), y >= 16) << x << ", " << y;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace omnihdr::confidence_test
