@@ -176,10 +176,19 @@ inline bool MayShowTheSame(const MergeSample& a, const MergeSample& b) {
   return true;
 }
 
+// Whether a sample's noise leaves room to contradict another: a dark one agrees with everything.
+inline bool IsTelling(const MergeSample& s) {
+  constexpr float kMostNoise = 0.24F;  // relative standard deviation
+  const float e = s.radiance[1];
+  const float noise = s.variance[1] - s.relative * e * e;
+  return s.usable && e > 0.0F && noise < kMostNoise * kMostNoise * e * e;
+}
+
 // The other views' samples (from 1 on) that may show the same as the one most of them side with.
 struct MergeMajority {
   std::size_t winner = 0;  // 0: no usable sample at all
   int views = 0;
+  int telling = 0;  // of those
   std::array<bool, kMaxMergeViews> member{};
 };
 // Takes usable samples that are not hidden; each counts once, plus by its trust. The order of the
@@ -193,16 +202,18 @@ inline MergeMajority FindMajority(const MergeSamples& samples, std::size_t count
     std::array<bool, kMaxMergeViews> member{};
     float votes = s.trust;
     int views = 0;
+    int telling = 0;
     for (std::size_t j = 1; j < count; ++j) {
       if (!samples[j].usable || samples[j].hidden) continue;
       member[j] = j == k || MayShowTheSame(s, samples[j]);
       votes += member[j] ? 1.0F : 0.0F;
       views += member[j] ? 1 : 0;
+      telling += member[j] && IsTelling(samples[j]) ? 1 : 0;
     }
     const bool is_better =
         votes > most || (votes == most && s.variance[1] < samples[majority.winner].variance[1]);
     if (majority.winner != 0 && !is_better) continue;
-    majority = {k, views, member};
+    majority = {k, views, telling, member};
     most = votes;
   }
   return majority;

@@ -15,8 +15,9 @@ namespace {
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr int kWitnesses = 2;
 constexpr float kLeastArea = 0.004F;  // steradians
+constexpr float kLeastFound = 0.6F;   // of an area
 constexpr int kGrowth = 2;            // pixels
-constexpr int kSides = 5;             // of the 9 pixels around one that must be of its opinion
+constexpr int kCrowd = 8;             // of the 25 pixels around one
 constexpr int kSmooth = 6;            // of a pixel's 8 neighbours at its distance: a surface
 constexpr int kRimPixels = 5;         // of a row whose median is the rim's disparity
 constexpr int kReach = 12;            // pixels that a found area spreads
@@ -27,26 +28,28 @@ bool AreNear(float a, float b) { return std::abs(a - b) <= 0.1F * std::max(a, b)
 
 int Wrapped(int x, int width) { return x < 0 ? x + width : (x >= width ? x - width : x); }
 
-// Keeps what most of a pixel's surroundings agree on.
-Image<std::uint8_t> MajorityOfNine(const Image<std::uint8_t>& mask) {
+// Pixels with enough of the mask around them: lone ones go, gaps close.
+Image<std::uint8_t> Crowded(const Image<std::uint8_t>& mask) {
   Image<std::uint8_t> out(mask.width(), mask.height());
   for (int y = 0; y < mask.height(); ++y) {
     for (int x = 0; x < mask.width(); ++x) {
       int set = 0;
-      for (int dy = -1; dy <= 1; ++dy) {
+      for (int dy = -2; dy <= 2; ++dy) {
         const int ny = std::clamp(y + dy, 0, mask.height() - 1);
-        for (int dx = -1; dx <= 1; ++dx) {
+        for (int dx = -2; dx <= 2; ++dx) {
           set += mask.at(Wrapped(x + dx, mask.width()), ny) != 0 ? 1 : 0;
         }
       }
-      out.at(x, y) = set >= kSides ? 1 : 0;
+      out.at(x, y) = set >= kCrowd ? 1 : 0;
     }
   }
   return out;
 }
 
-// Clears connected areas (by sides) smaller than `least` steradians.
-void ClearSmall(float least, Image<std::uint8_t>* mask) {
+// Clears connected areas (by sides) smaller than `least` steradians, and those of which not enough
+// was found: of the pixels between the first and the last of each of an area's rows. Half a mover
+// taken away is worse than a whole one left.
+void ClearDoubtful(float least, const Image<std::uint8_t>& found, Image<std::uint8_t>* mask) {
   const int width = mask->width();
   const int height = mask->height();
   std::vector<float> pixel_area;
@@ -56,29 +59,45 @@ void ClearSmall(float least, Image<std::uint8_t>* mask) {
     pixel_area.push_back(static_cast<float>((top - bottom) * 2.0 * std::numbers::pi / width));
   }
   constexpr std::uint8_t kVisited = 2;
-  std::vector<int> members;
+  struct Member {
+    int x = 0;  // as walked to: may lie outside the picture
+    int y = 0;
+  };
+  std::vector<Member> members;
+  std::vector<std::array<int, 2>> extent;  // of each row
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
       if (mask->at(x, y) != 1) continue;
-      members.assign(1, y * width + x);
+      members.assign(1, {x, y});
+      extent.assign(static_cast<std::size_t>(height), {2 * width, -2 * width});
       mask->at(x, y) = kVisited;
       float area = 0.0F;
+      int confirmed = 0;
       for (std::size_t k = 0; k < members.size(); ++k) {
-        const int px = members[k] % width;
-        const int py = members[k] / width;
-        area += pixel_area[static_cast<std::size_t>(py)];
+        const Member at = members[k];
+        area += pixel_area[static_cast<std::size_t>(at.y)];
+        confirmed += found.at(((at.x % width) + width) % width, at.y) != 0 ? 1 : 0;
+        auto& [first, last] = extent[static_cast<std::size_t>(at.y)];
+        first = std::min(first, at.x);
+        last = std::max(last, at.x);
         const auto visit = [&](int nx, int ny) {
-          if (ny < 0 || ny >= height || mask->at(nx, ny) != 1) return;
-          mask->at(nx, ny) = kVisited;
-          members.push_back(ny * width + nx);
+          const int column = ((nx % width) + width) % width;
+          if (ny < 0 || ny >= height || mask->at(column, ny) != 1) return;
+          mask->at(column, ny) = kVisited;
+          members.push_back({nx, ny});
         };
-        visit(Wrapped(px - 1, width), py);
-        visit(Wrapped(px + 1, width), py);
-        visit(px, py - 1);
-        visit(px, py + 1);
+        visit(at.x - 1, at.y);
+        visit(at.x + 1, at.y);
+        visit(at.x, at.y - 1);
+        visit(at.x, at.y + 1);
       }
-      if (area >= least) continue;
-      for (const int at : members) mask->at(at % width, at / width) = 0;
+      int filled = 0;
+      for (const auto& [first, last] : extent) filled += std::max(0, last - first + 1);
+      if (area >= least &&
+          static_cast<float>(confirmed) >= kLeastFound * static_cast<float>(filled)) {
+        continue;
+      }
+      for (const Member& at : members) mask->at(((at.x % width) + width) % width, at.y) = 0;
     }
   }
 }
@@ -134,18 +153,20 @@ class Search {
     look.is_marked = (samples[0].flags & kMover) != 0;
     // What the own view does not see is nobody's to judge.
     if ((samples[0].flags & kMasked) != 0) look.is_surface = true;
+    // Dark, it can contradict nobody.
+    if (samples[0].usable && !IsTelling(samples[0])) look.is_surface = true;
     if (!(look.disparity >= 0.0F) || look.is_surface) return look;
     const std::size_t count = SamplesAt(ray, look.disparity, &samples);
     int with_mine = 0;
     int seen = 0;
     for (std::size_t k = 1; k < count; ++k) {
       const bool both_clipped = (samples[k].flags & samples[0].flags & kSaturatedAny) != 0;
-      if (!both_clipped && !samples[k].usable) continue;
+      if (!both_clipped && !IsTelling(samples[k])) continue;
       ++seen;
       with_mine += both_clipped || MayShowTheSame(samples[0], samples[k]) ? 1 : 0;
     }
-    // Of one view in four it may be hidden.
-    look.is_surface = with_mine >= std::max(kWitnesses, seen - 1);
+    // Of one view in four it may be hidden; fewer than two contradict nothing.
+    look.is_surface = seen < kWitnesses || with_mine >= std::max(kWitnesses, seen - 1);
     return look;
   }
 
@@ -163,18 +184,19 @@ class Search {
       if (!(d >= 0.0F)) return;
       const std::size_t count = SamplesAt(ray, d, &samples);
       const MergeMajority majority = FindMajority(samples, count);
-      if (majority.views < (is_marked ? 1 : kWitnesses)) return;
+      if (majority.telling < (is_marked ? 1 : kWitnesses)) return;
       const float centre = samples[majority.winner].radiance[1];
       float spread = 0.0F;
       for (std::size_t k = 1; k < count; ++k) {
         if (majority.member[k]) spread += std::abs(samples[k].radiance[1] - centre);
       }
       spread /= std::max(centre, 1e-9F);
-      if (majority.views < best_views || (majority.views == best_views && spread >= best_spread)) {
+      if (majority.telling < best_views ||
+          (majority.telling == best_views && spread >= best_spread)) {
         return;
       }
       best = d;
-      best_views = majority.views;
+      best_views = majority.telling;
       best_spread = spread;
       is_mine = MayShowTheSame(samples[0], samples[majority.winner]);
     };
@@ -316,8 +338,8 @@ MoverRegion FindMovers(const MoverSearch& s) {
       }
     }
   });
-  region.inside = MajorityOfNine(found);
-  ClearSmall(kLeastArea, &region.inside);
+  region.inside = Crowded(found);
+  ClearDoubtful(kLeastArea, found, &region.inside);
   // Chance agreement leaves holes in a mover: close by, what contradicts the others is part of it
   // whatever the map says.
   for (int step = 0; step < kReach; ++step) {

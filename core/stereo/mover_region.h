@@ -40,8 +40,9 @@ struct MoverSearch {
 // where what moved matched by chance - and at the distance of the surfaces left and right of it, or
 // of what another view's map puts there, at least two other views agree with each other and the own
 // view contradicts them. Pixels that a person marked (kMover) do in any case. Areas smaller than a
-// person 13 m away are left alone, others grow by two pixels. Something that moves so that it looks
-// like a still thing at another distance is not found.
+// person 13 m away, and those in which that holds for less than three pixels in five, are left
+// alone; others take in what contradicts the others close by, and grow by two pixels. Something
+// that moves so that it looks like a still thing at another distance is not found.
 MoverRegion FindMovers(const MoverSearch& search);
 
 }  // namespace omnihdr

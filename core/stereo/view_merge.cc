@@ -109,7 +109,7 @@ bool TakeBackground(bool is_marked, std::size_t count, MergeSamples* samples) {
   MergeSample& mine = (*samples)[0];
   const int needed = is_marked ? 1 : kLeastWitnesses;
   const MergeMajority majority = FindMajority(*samples, count);
-  if (majority.views < needed) {
+  if (majority.telling < needed) {
     // A background that is clipped in every view that saw it has a bound at least.
     int clipped = 0;
     for (std::size_t k = 1; k < count; ++k) {
