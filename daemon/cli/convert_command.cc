@@ -134,7 +134,8 @@ void InStripes(const SphereGrid& target, const SphereGrid& source, const Apply& 
 
 // Whether a channel holds names of things, which have no in-between.
 bool IsLabels(const std::string& name, ExrPixelType type) {
-  return type == ExrPixelType::kUint || name == "origin" || name.ends_with(".origin");
+  const std::string channel = name.substr(name.rfind('.') + 1);  // a layer's too
+  return type == ExrPixelType::kUint || channel == "origin" || channel == "sources";
 }
 
 struct Converted {

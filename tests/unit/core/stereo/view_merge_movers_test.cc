@@ -114,37 +114,42 @@ TEST(MergeKeepingMovers, TheOwnInstantStaysAndNoOtherLeaksIn) {
 }
 
 TEST(MergeKeepingMovers, WhereTheOwnFrameIsClippedAPasserByInOneViewDoesNotLeak) {
-  // What passes is brighter than the own frame's bound, so that only the others can tell it apart.
-  const MovingDrive moving(8.0F, Only(3));
-  const std::vector<double> seconds = {0.3, 0.3, 8.0, 0.3, 0.3};
-  const MergedView with = Merger(moving.drive, seconds).Merge();
+  // What passes is brighter than the own frame's bound, so that only the others can tell it apart;
+  // if darker than the background, its smaller variance makes it count more than theirs.
+  const std::vector<double> seconds = {0.3, 0.3, 30.0, 0.3, 0.3};
   const MergedView without = Merger(StillDrive(), seconds).Merge();
-  int changed = 0;
-  int clipped = 0;
-  for (int y = 8; y < kHeight - 8; ++y) {
-    for (int x = 0; x < kWidth; ++x) {
-      const float before = without.radiance.at(x, y, 1);
-      clipped += before > 1.1F * 255.0F / 128.0F / 8.0F ? 1 : 0;
-      changed += std::abs(std::log10(with.radiance.at(x, y, 1) / before)) > 0.15 ? 1 : 0;
+  for (const float brightness : {0.15F, 0.3F, 8.0F}) {
+    const MovingDrive moving(brightness, Only(3));
+    const MergedView with = Merger(moving.drive, seconds).Merge();
+    int changed = 0;
+    int clipped = 0;
+    for (int y = 8; y < kHeight - 8; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        const float before = without.radiance.at(x, y, 1);
+        clipped += before > 1.1F * 255.0F / 128.0F / 30.0F ? 1 : 0;
+        changed += std::abs(std::log10(with.radiance.at(x, y, 1) / before)) > 0.15 ? 1 : 0;
+      }
     }
+    ASSERT_GT(clipped, kWidth * kHeight / 10);
+    EXPECT_LE(changed, 12) << "brightness " << brightness;
   }
-  ASSERT_GT(clipped, kWidth * kHeight / 10);
-  EXPECT_LE(changed, 4);
 }
 
 TEST(MergeKeepingMovers, WhereTheOwnFrameIsDarkAPasserByInOneViewDoesNotLeak) {
-  const MovingDrive moving(5.0F, Only(1));
   const std::vector<double> seconds = {1.0, 1.0, 0.01, 1.0, 1.0};
-  const MergedView with = Merger(moving.drive, seconds).Merge();
   const MergedView without = Merger(StillDrive(), seconds).Merge();
-  int changed = 0;
-  for (int y = 8; y < kHeight - 8; ++y) {
-    for (int x = 0; x < kWidth; ++x) {
-      const float ratio = with.radiance.at(x, y, 1) / without.radiance.at(x, y, 1);
-      changed += std::abs(std::log10(ratio)) > 0.15 ? 1 : 0;
+  for (const float brightness : {0.15F, 0.3F, 5.0F}) {
+    const MovingDrive moving(brightness, Only(1));
+    const MergedView with = Merger(moving.drive, seconds).Merge();
+    int changed = 0;
+    for (int y = 8; y < kHeight - 8; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        const float ratio = with.radiance.at(x, y, 1) / without.radiance.at(x, y, 1);
+        changed += std::abs(std::log10(ratio)) > 0.15 ? 1 : 0;
+      }
     }
+    EXPECT_LE(changed, 12) << "brightness " << brightness;
   }
-  EXPECT_LE(changed, 4);
 }
 
 TEST(MergeRemovingMovers, TheBackgroundIsShownWhereTheOthersAgreeOnIt) {

@@ -100,7 +100,8 @@ class Convert : public ::testing::Test {
                           {"B", rgb, ExrPixelType::kHalf, 2},
                           {"disparity", disparity, ExrPixelType::kFloat, 0},
                           {"id", origin, ExrPixelType::kUint, 0},
-                          {"origin", origin, ExrPixelType::kHalf, 0}},
+                          {"origin", origin, ExrPixelType::kHalf, 0},
+                          {"sources", origin, ExrPixelType::kHalf, 0}},
                          attributes));
   }
   testing::TemporaryDirectory directory_;
@@ -154,7 +155,7 @@ TEST_F(Convert, AnExrKeepsItsChannelsTypesAndAttributes) {
   EXPECT_EQ(cube->attributes.strings.at("omnihdrCamera"), "a camera");
   EXPECT_EQ(cube->attributes.floats.at("expTime"), 0.5);
   EXPECT_TRUE(cube->attributes.chromaticities);
-  EXPECT_EQ(cube->channels.size(), 6U);
+  EXPECT_EQ(cube->channels.size(), 7U);
   EXPECT_EQ(cube->types.at("R"), ExrPixelType::kHalf);
   EXPECT_EQ(cube->types.at("disparity"), ExrPixelType::kFloat);
   EXPECT_EQ(cube->types.at("id"), ExrPixelType::kUint);
@@ -169,7 +170,7 @@ TEST_F(Convert, AnExrKeepsItsChannelsTypesAndAttributes) {
       } else if (ray.z() < -0.05) {
         ASSERT_FLOAT_EQ(disparity, 0.25F);
       }
-      for (const char* labels : {"id", "origin"}) {
+      for (const char* labels : {"id", "origin", "sources"}) {
         const float label = cube->channels.at(labels).at(x, y);
         ASSERT_TRUE(label == 1.0F || label == 3.0F) << labels << " " << label;
       }
