@@ -27,7 +27,6 @@ constexpr std::array<Knot, 8> kMeasured = {{{0.05F, 0.22F},
 constexpr float kOfFilled = 0.48F;
 constexpr float kLeastScore = 0.02F;  // below: filled
 
-constexpr float kTrustedScore = 0.4F;
 constexpr int kAreaRadius = 4;            // of the square that has to agree, in map pixels
 constexpr double kLeastAreaShare = 0.75;  // of that square's pixels
 

@@ -6,6 +6,10 @@
 
 namespace omnihdr {
 
+// Score (DisparityMap::confidence) from which on a disparity is used where the reference itself saw
+// nothing and only other views vouch for it.
+inline constexpr float kTrustedScore = 0.4F;
+
 // The probability that a disparity is right, to within a pixel of parallax of a panorama 1536 wide,
 // given the score that matching and fusion left in DisparityMap::confidence; 0 = it has none, its
 // disparity was filled in from around. Rising with the score, measured on simulated drives

@@ -18,7 +18,7 @@ struct SgmOptions {
 // A disparity map: lat-long in the world frame ("rotationally aligned"), centred on its view.
 struct DisparityMap {
   Image<float> disparity;   // 1/r; NaN = unknown
-  Image<float> confidence;  // 0..1
+  Image<float> confidence;  // 0..1, a score: confidence.h tells what it is worth
 };
 
 // Semi-global matching (Hirschmueller 2008) on the sphere, four paths; rows close round the globe.

@@ -17,6 +17,7 @@
 #include "core/photometry/tonemap.h"
 #include "core/sphere/latlong_grid.h"
 #include "core/stereo/agreement_field.h"
+#include "core/stereo/confidence.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/merge_source.h"
 #include "core/stereo/mover_region.h"
@@ -26,7 +27,6 @@ namespace omnihdr {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-constexpr float kTrustedConfidence = 0.4F;
 constexpr float kSureConfidence = 0.7F;
 constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
@@ -311,7 +311,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           block.theirs += theirs_y;
           block.noise += noise;
           block.count += 1.0F;
-          if (disparity != nullptr && d.confidence < kTrustedConfidence) continue;
+          if (disparity != nullptr && d.confidence < kTrustedScore) continue;
           if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
@@ -405,8 +405,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const DisparityLookup::Value d = {view.disparity.at(x, y), view.confidence.at(x, y)};
         // Where this view saw nothing, its disparity is a guess unless others agreed on it: better
         // no data than other views' pixels strewn about.
-        const bool is_guess = (mine.flags & kMasked) != 0 && disparity != nullptr &&
-                              d.confidence < kTrustedConfidence;
+        const bool is_guess =
+            (mine.flags & kMasked) != 0 && disparity != nullptr && d.confidence < kTrustedScore;
         const bool by_rotation = disparity == nullptr;
         const float misregistration =
             options.misalignment_px +

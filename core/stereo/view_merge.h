@@ -65,9 +65,10 @@ struct ExposureTest {
 };
 
 struct MergedView {
-  Image<float> radiance;       // W×H×3, lat-long; 0 where there is no data
-  Image<float> disparity;      // W×H; NaN = unknown
-  Image<float> confidence;     // W×H, 0..1
+  Image<float> radiance;   // W×H×3, lat-long; 0 where there is no data
+  Image<float> disparity;  // W×H; NaN = unknown
+  Image<float>
+      confidence;  // W×H, 0..1: the map's score; a probability once calibrated (confidence.h)
   Image<std::uint8_t> origin;  // W×H, PixelOrigin
   // W×H: which views a pixel is made of, those with a tenth of the weight or more (of a clipped
   // pixel: those whose bound it is): bit 0 the reference, bit n the n-th of `others`.
