@@ -107,8 +107,10 @@ struct World::Impl {
           int covered = 0;
           Vec3 sum;
           for (int k = 0; k < side * side; ++k) {
-            const auto u = (static_cast<float>(k % side) + 0.5F) * step;
-            const auto v = (static_cast<float>(k / side) + 0.5F) * step;
+            const int column = k % side;
+            const int row = k / side;
+            const auto u = (static_cast<float>(column) + 0.5F) * step;
+            const auto v = (static_cast<float>(row) + 0.5F) * step;
             const Vec3 direction = ray_at(x, y, u, v);
             const Hit hit = geometry.Intersect(origin, direction);
             const Hit mover = movers.Intersect(origin, direction, hit.t);

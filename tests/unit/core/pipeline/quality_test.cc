@@ -168,7 +168,19 @@ class Overloaded : public ::testing::Test {
     EXPECT_THAT(said.warnings, ::testing::IsEmpty());
     return processor->counts();
   }
-  SessionProcessor::Counts Degraded() { return Process({.overload = Degrade(6)}); }
+  // The session as an overloaded run leaves it: made once, copied for every test.
+  SessionProcessor::Counts Degraded() {
+    static const TemporaryDirectory made;
+    static const SessionProcessor::Counts counts = [this] {
+      const SessionProcessor::Counts c = Process({.overload = Degrade(6)});
+      fs::copy(session(), made.path(), kWhole);
+      degraded_changes_ = changes_;
+      return c;
+    }();
+    fs::copy(made.path(), session(), kWhole);
+    changes_ = degraded_changes_;
+    return counts;
+  }
 
   static int CountReduced(const std::vector<int>& levels) {
     return static_cast<int>(
@@ -184,6 +196,8 @@ class Overloaded : public ::testing::Test {
     return levels;
   }
 
+  static constexpr auto kWhole = fs::copy_options::recursive | fs::copy_options::overwrite_existing;
+  static inline std::vector<std::pair<int, int>> degraded_changes_;
   const TemporaryDirectory directory_;
   std::vector<std::pair<int, int>> changes_;
 };

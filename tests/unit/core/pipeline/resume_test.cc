@@ -41,11 +41,20 @@ class Resume : public ::testing::TestWithParam<int> {
     options.neighbours = GetParam();
     return options;
   }
+  // The whole session by the number of neighbours: made once, copied for every test.
+  static const fs::path& Made() {
+    static std::map<int, TemporaryDirectory> made;
+    const auto [directory, fresh] = made.try_emplace(GetParam());
+    const fs::path& session = directory->second.path();
+    if (fresh) {
+      static const std::vector<std::vector<std::byte>> frames = testing::RenderFrames(LongPlan());
+      testing::WriteSession(session, LongPlan(), frames);
+      EXPECT_EQ(ProcessAll(session, {}, Options()).counts.views_written, kPositions);
+    }
+    return session;
+  }
   void SetUp() override {
-    static const std::vector<std::vector<std::byte>> frames = testing::RenderFrames(LongPlan());
-    testing::WriteSession(session_.path(), LongPlan(), frames);
-    const Processed done = ProcessAll(session_.path(), {}, Options());
-    ASSERT_EQ(done.counts.views_written, kPositions);
+    fs::copy(Made(), session_.path(), fs::copy_options::recursive);
     whole_ = ViewBytes(session_.path());
     for (int k = 0; k < kPositions; ++k) {
       const Result<ViewRecord> record = ReadViewRecord(session_.path() / "views", PositionId{k});
@@ -120,18 +129,20 @@ class ResumeLost : public ::testing::Test {
     options.output_width = 128;
     return options;
   }
+  // The whole session: made once, copied for every test.
+  static void Make(const fs::path& session) {
+    std::vector<std::vector<std::byte>> frames = testing::RenderFrames(Plan());
+    const Image<std::uint8_t> grey(320, 160, 3, 90);
+    for (int k = kBefore; k < kBefore + kBlind; ++k) {
+      frames[static_cast<std::size_t>(k)] = *EncodePng(grey.view());
+    }
+    testing::WriteSession(session, Plan(), frames);
+    EXPECT_EQ(ProcessAll(session, {}, Options()).counts.views_written, kAll);
+  }
   void SetUp() override {
-    static const std::vector<std::vector<std::byte>> frames = [] {
-      std::vector<std::vector<std::byte>> rendered = testing::RenderFrames(Plan());
-      const Image<std::uint8_t> grey(320, 160, 3, 90);
-      for (int k = kBefore; k < kBefore + kBlind; ++k) {
-        rendered[static_cast<std::size_t>(k)] = *EncodePng(grey.view());
-      }
-      return rendered;
-    }();
-    testing::WriteSession(session_.path(), Plan(), frames);
-    const Processed done = ProcessAll(session_.path(), {}, Options());
-    ASSERT_EQ(done.counts.views_written, kAll);
+    static const TemporaryDirectory made;
+    if (!fs::exists(made.path() / "views")) Make(made.path());
+    fs::copy(made.path(), session_.path(), fs::copy_options::recursive);
     whole_ = ViewBytes(session_.path());
   }
   ViewRecord Record(int position) const {

@@ -40,7 +40,7 @@ class World {
   }
   Vector3d Point() { return Uniform(1.5, 12.0) * Direction(); }
   Vector3d Noisy(const Vector3d& v, double sigma) {
-    const Vector3d noise(Normal(), Normal(), Normal());
+    const Vector3d noise{Normal(), Normal(), Normal()};  // braces: in this order
     return (v.normalized() + sigma * noise).normalized();
   }
   Pose Motion(double turn_deg, double length) {
@@ -417,7 +417,7 @@ TEST(BundleCovariance, ErrorsSpreadAsItSaysWhateverTheNoiseOfRaysAndDistances) {
   for (const auto& [ray_sigma, length_sigma] :
        {std::pair(1e-4, 3e-3), std::pair(4e-4, 1e-3), std::pair(2e-3, 5e-3)}) {
     SquaredErrors errors;
-    for (std::uint32_t seed = 1; seed <= 60; ++seed) {
+    for (std::uint32_t seed = 1; seed <= 200; ++seed) {
       World world(seed);
       Scene scene = MakeScene(world, ray_sigma);
       for (int c = 1; c < 6; ++c) {
@@ -431,7 +431,7 @@ TEST(BundleCovariance, ErrorsSpreadAsItSaysWhateverTheNoiseOfRaysAndDistances) {
       ASSERT_TRUE(AdjustBundle(options, &scene.bundle));
       errors.Add(scene.bundle, scene.truth, CameraCovariances(options, scene.bundle, {}), 1);
     }
-    EXPECT_NEAR(errors.Mean(), 6.0, 0.9) << ray_sigma << ", " << length_sigma;
+    EXPECT_NEAR(errors.Mean(), 6.0, 0.75) << ray_sigma << ", " << length_sigma;
   }
 }
 
