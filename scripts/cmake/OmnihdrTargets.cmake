@@ -61,10 +61,17 @@ function(omnihdr_unity target)
   endif()
 endfunction()
 
+# omnihdr_unoptimised_under_sanitizers(target): for code without heavy loops, half the time to compile.
+function(omnihdr_unoptimised_under_sanitizers target)
+  if(OMNIHDR_SANITIZE)
+    target_compile_options(${target} PRIVATE -O0)
+  endif()
+endfunction()
+
 # omnihdr_library(core_base DEPS fmt::fmt): one static library from every .cc file of the calling
 # folder (sub-folders excluded), linked PUBLIC to DEPS and PRIVATE to PRIVATE_DEPS. A folder without
 # a .cc file becomes a header-only target. UNITY: see omnihdr_unity.
-# GLUE: no heavy loops: not optimised under sanitizers (half the time to compile).
+# GLUE: see omnihdr_unoptimised_under_sanitizers.
 # COMMANDS: glue that is little optimised in Release, too (a third less to compile).
 function(omnihdr_library name)
   cmake_parse_arguments(ARG "UNITY;GLUE;COMMANDS" "" "DEPS;PRIVATE_DEPS;EXCLUDE" ${ARGN})
@@ -78,9 +85,10 @@ function(omnihdr_library name)
     if(ARG_UNITY)
       omnihdr_unity(${name})
     endif()
-    if((ARG_GLUE OR ARG_COMMANDS) AND OMNIHDR_SANITIZE)
-      target_compile_options(${name} PRIVATE -O0)
-    elseif(ARG_COMMANDS)
+    if(ARG_GLUE OR ARG_COMMANDS)
+      omnihdr_unoptimised_under_sanitizers(${name})
+    endif()
+    if(ARG_COMMANDS)
       target_compile_options(${name} PRIVATE $<$<CONFIG:Release>:-O1>)
     endif()
   else()
@@ -110,9 +118,7 @@ function(omnihdr_test name)
   target_link_libraries(${name} PRIVATE omnihdr_flags ${ARG_DEPS} GTest::gmock GTest::gtest_main)
   omnihdr_unity(${name})
   set_target_properties(${name} PROPERTIES OMNIHDR_IS_TEST ON)
-  if(OMNIHDR_SANITIZE)
-    target_compile_options(${name} PRIVATE -O0)
-  endif()
+  omnihdr_unoptimised_under_sanitizers(${name})
   # The tree's place is told only to programs that ask: ccache shares all other objects between checkouts.
   foreach(source IN LISTS sources)
     file(STRINGS "${source}" asks REGEX "OMNIHDR_SOURCE_DIR" LIMIT_COUNT 1)
