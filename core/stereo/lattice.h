@@ -15,26 +15,32 @@ constexpr int kTileLabels = 8;    // labels of a tile worked on at a time
 // Hypotheses worked on at a time, columns fastest: everything stays in the first-level cache.
 constexpr int kSweepBlock = kTileColumns * kTileLabels;
 
-struct RayBlock {
-  alignas(64) std::array<float, kSweepBlock> x;
-  alignas(64) std::array<float, kSweepBlock> y;
-  float z = 0.0F;  // one row of a lat-long map has one elevation
+// Rays of the tile's columns; one row of a lat-long map has one elevation.
+struct TileRays {
+  alignas(64) std::array<float, kTileColumns> x;
+  alignas(64) std::array<float, kTileColumns> y;
+  float z = 0.0F;
 };
-using DisparityBlock = std::array<float, kSweepBlock>;
+// Normalised disparities of a block's labels.
+struct LabelDisparities {
+  float first = 0.0F;
+  float step = 0.0F;
+};
 
 // Cosine and sine of the azimuth of every column's centre.
 std::vector<std::array<float, 2>> ColumnDirections(int width);
 
-// Rays of the tile's columns from `x0` on of row `y` of a map of `height` rows, once for each
-// label; past the last column, the last one again.
+// Rays of the tile's columns from `x0` on of row `y` of a map of `height` rows; past the last
+// column, the last one again.
 void FillRays(const std::vector<std::array<float, 2>>& columns, int x0, int y, int height,
-              RayBlock* rays);
+              TileRays* rays);
 
-// Normalised disparities of the labels from `first_label` on.
-void FillDisparities(int first_label, double step, DisparityBlock* d);
-
-// Lattice index of where a neighbour at `offset` sees the hypotheses: texel of (u − d·b).
-void LatticeIndices(const RayBlock& u, const float* offset, const DisparityBlock& d,
+// Lattice index of where a neighbour at `offset` sees the hypotheses: texel of (u − d·b). What a
+// pixel's hypotheses show lies on a great circle, which is nearly a parabola over a block's labels:
+// three of them are computed and the others put between, to a small part of a texel. A block for
+// which that does not hold - near a pole of the lattice, or where its columns begin again - is
+// computed one by one.
+void LatticeIndices(const TileRays& u, const float* offset, const LabelDisparities& d,
                     int lattice_width, int lattice_height, std::int32_t* index);
 
 void GatherTexels(const std::uint64_t* texels, const std::int32_t* index, std::uint64_t* out);

@@ -43,7 +43,7 @@ class ReferencePairTile {
     }
   }
 
-  void Add(const RayBlock& rays, const DisparityBlock& disparities, std::uint16_t* sum) {
+  void Add(const TileRays& rays, const LabelDisparities& disparities, std::uint16_t* sum) {
     for (std::size_t n = 0; n < neighbours_.size(); ++n) {
       LatticeIndices(rays, offsets_[n].data(), disparities, neighbours_[n].width,
                      neighbours_[n].height, index_.data());

@@ -21,12 +21,28 @@ struct Lanes {
   alignas(64) std::array<std::uint8_t, kBlock> known;
 };
 
+// In halves, quarters and eighths: each step is one that vectors have an instruction for.
 OMNIHDR_SIMD_CLONES
 void Split(const std::uint64_t* texels, Lanes* lanes) {
-  for (std::size_t p = 0; p < kPlanes; ++p) {
-    std::uint8_t* out = lanes->plane[p].data();
-    const auto shift = static_cast<int>(8 * p);
-    for (int i = 0; i < kBlock; ++i) out[i] = static_cast<std::uint8_t>(texels[i] >> shift);
+  alignas(64) std::array<std::array<std::uint32_t, kBlock>, 2> half;
+  for (int i = 0; i < kBlock; ++i)
+    half[0][static_cast<std::size_t>(i)] = static_cast<std::uint32_t>(texels[i]);
+  for (int i = 0; i < kBlock; ++i)
+    half[1][static_cast<std::size_t>(i)] = static_cast<std::uint32_t>(texels[i] >> 32U);
+  alignas(64) std::array<std::array<std::uint16_t, kBlock>, 4> quarter;
+  for (std::size_t h = 0; h < half.size(); ++h) {
+    const std::uint32_t* in = half[h].data();
+    std::uint16_t* low = quarter[2 * h].data();
+    std::uint16_t* high = quarter[2 * h + 1].data();
+    for (int i = 0; i < kBlock; ++i) low[i] = static_cast<std::uint16_t>(in[i]);
+    for (int i = 0; i < kBlock; ++i) high[i] = static_cast<std::uint16_t>(in[i] >> 16U);
+  }
+  for (std::size_t q = 0; q < quarter.size(); ++q) {
+    const std::uint16_t* in = quarter[q].data();
+    std::uint8_t* low = lanes->plane[2 * q].data();
+    std::uint8_t* high = lanes->plane[2 * q + 1].data();
+    for (int i = 0; i < kBlock; ++i) low[i] = static_cast<std::uint8_t>(in[i]);
+    for (int i = 0; i < kBlock; ++i) high[i] = static_cast<std::uint8_t>(in[i] >> 8U);
   }
   const std::uint8_t* lo = lanes->plane[0].data();
   const std::uint8_t* hi = lanes->plane[1].data();
@@ -90,7 +106,7 @@ class PairTile {
     Split(texels_.data(), &lanes_[0]);
   }
 
-  void Add(const RayBlock& rays, const DisparityBlock& disparities, std::uint16_t* sum) {
+  void Add(const TileRays& rays, const LabelDisparities& disparities, std::uint16_t* sum) {
     for (std::size_t n = 1; n < views_; ++n) {
       const SweepNeighbour& neighbour = neighbours_[n - 1];
       LatticeIndices(rays, neighbour.offset.data(), disparities, neighbour.view->width,

@@ -13,7 +13,7 @@ namespace omnihdr {
 
 // Fills a volume tile by tile. `make_tile` gives a worker's own object with
 //   void Start(int x0, int y)            the tile whose first pixel that is comes next
-//   void Add(const RayBlock&, const DisparityBlock&, std::uint16_t* sum)
+//   void Add(const TileRays&, const LabelDisparities&, std::uint16_t* sum)
 //                                        adds the costs of a block of the tile's hypotheses
 // and a cost is the sum over `divisor`, rounded. Deterministic on any number of cores.
 template <typename MakeTile>
@@ -23,8 +23,7 @@ void SweepTiles(unsigned divisor, MakeTile make_tile, CostVolume* volume) {
   const std::vector<std::array<float, 2>> columns_of_map = ColumnDirections(volume->width);
   ParallelFor(volume->height, 1, [&](int row_begin, int row_end) {
     const auto tile = make_tile();
-    RayBlock rays;
-    alignas(64) DisparityBlock disparities;
+    TileRays rays;
     alignas(64) std::array<std::uint16_t, kSweepBlock> sum;
     alignas(64) std::array<std::uint8_t, kSweepBlock> costs;
     for (int y = row_begin; y < row_end; ++y) {
@@ -34,7 +33,9 @@ void SweepTiles(unsigned divisor, MakeTile make_tile, CostVolume* volume) {
         const LabelRange range = volume->range(x0, y);
         std::uint8_t* out = volume->cost.data() + volume->offset(x0, y);
         for (int k = 0; k < range.count; k += kTileLabels) {
-          FillDisparities(range.first + k, volume->step, &disparities);
+          const LabelDisparities disparities = {
+              static_cast<float>((range.first + k) * volume->step),
+              static_cast<float>(volume->step)};
           sum.fill(0);
           tile->Add(rays, disparities, sum.data());
           NormaliseSums(sum.data(), multiplier, costs.data());
