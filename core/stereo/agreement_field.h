@@ -94,6 +94,29 @@ class AgreementField {
     const float below = (1.0F - ax) * at(x0, y1) + ax * at(x0 + 1, y1);
     return (1.0F - ay) * above + ay * below;
   }
+  // The same along a row, at points (k + 0.5)·step, y.
+  void FactorsOfRow(float y, float step, int count, float* out) const {
+    std::array<float, kWidth + 2> row{};  // a cell before the first and after the last
+    const float fy = std::clamp(y - 0.5F, 0.0F, static_cast<float>(kHeight - 1));
+    const int y0 = static_cast<int>(fy);
+    const int y1 = std::min(y0 + 1, kHeight - 1);
+    const float ay = fy - static_cast<float>(y0);
+    const auto above = field_.begin() + static_cast<std::ptrdiff_t>(y0) * kWidth;
+    const auto below = field_.begin() + static_cast<std::ptrdiff_t>(y1) * kWidth;
+    for (std::size_t x = 0; x < kWidth; ++x) {
+      row[x + 1] = (1.0F - ay) * above[static_cast<std::ptrdiff_t>(x)] +
+                   ay * below[static_cast<std::ptrdiff_t>(x)];
+    }
+    row[0] = row[kWidth];
+    row[kWidth + 1] = row[1];
+    for (int k = 0; k < count; ++k) {
+      const float fx = (static_cast<float>(k) + 0.5F) * step + 0.5F;
+      const auto x0 = static_cast<int>(fx);
+      const float ax = fx - static_cast<float>(x0);
+      const auto i = static_cast<std::size_t>(x0);
+      out[k] = (1.0F - ax) * row[i] + ax * row[i + 1];
+    }
+  }
   // Relative variance of the source's radiance beyond noise and misregistration.
   float excess() const { return excess_; }
 

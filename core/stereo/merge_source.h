@@ -107,7 +107,7 @@ struct SourceLookup {
   Image<float> block_trust;
 };
 
-enum class Sight { kUnknown, kHidden, kVisible };
+enum class Sight : std::uint8_t { kUnknown, kHidden, kVisible };
 
 // Whether a source sees the surface point of the row's i-th ray, at disparity `d`, or something
 // nearer hides it there. kUnknown: the point has no place in the source.

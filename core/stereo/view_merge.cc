@@ -19,6 +19,7 @@
 #include "core/stereo/agreement_field.h"
 #include "core/stereo/confidence.h"
 #include "core/stereo/fuse.h"
+#include "core/stereo/merge_row.h"
 #include "core/stereo/merge_source.h"
 #include "core/stereo/mover_region.h"
 #include "core/stereo/row_geometry.h"
@@ -136,6 +137,89 @@ std::optional<float> Median(std::vector<float> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// A pixel of the output.
+struct MergedPixel {
+  std::array<float, 3> radiance{};
+  PixelOrigin origin = PixelOrigin::kNoData;
+  std::uint8_t sources = 0;
+};
+
+// The mean of a pixel's samples, the reference's first; `view_bit`: of MergedView::sources, each
+// sample's.
+MergedPixel MergePixel(std::size_t count, const std::array<std::uint8_t, kMaxMergeViews>& view_bit,
+                       float confidence, bool by_hat, bool consistency, MergeSamples* in) {
+  MergeSamples& samples = *in;
+  const MergeSample& mine = samples[0];
+  MergedPixel result;
+  bool dark = true;
+  float most_trusted = 0.0F;
+  float most_trusted_hidden = 0.0F;
+  for (std::size_t k = 0; k < count; ++k) {
+    if (!samples[k].usable) continue;
+    float& most = samples[k].hidden ? most_trusted_hidden : most_trusted;
+    most = std::max(most, samples[k].trust);
+  }
+  // A single wrong disparity "hides" a surface in every other view at once. Where none sees
+  // the point but what lies there is as bright as the clipped own pixel demands, that is a
+  // better estimate than the bare bound.
+  const bool take_hidden = most_trusted <= kLeastTrust && most_trusted_hidden > kLeastTrust;
+  if (take_hidden) most_trusted = most_trusted_hidden;
+  for (std::size_t k = 0; k < count; ++k) {
+    if (samples[k].hidden && !take_hidden) samples[k].usable = false;
+  }
+  // Where this view is saturated and all that others offer contradicts that, they see
+  // something else.
+  if (most_trusted > kLeastTrust) {
+    // A common estimate of the signal first, so that noise does not bias the weights.
+    std::array<float, 3> signal{};
+    std::array<float, 3> signal_weight{};
+    std::array<float, kMaxMergeViews> share{};
+    for (std::size_t k = 0; k < count; ++k) {
+      const MergeSample& s = samples[k];
+      if (!s.usable) continue;
+      for (std::size_t c = 0; c < 3; ++c) {
+        const float w = by_hat ? s.trust * s.hat[c] : s.trust / s.variance[c];
+        signal[c] += w * s.radiance[c];
+        signal_weight[c] += w;
+        if (c == 1) share[k] = w;
+      }
+      dark = dark && (s.flags & kDarkAny) == kDarkAny;
+    }
+    for (std::size_t c = 0; c < 3; ++c) {
+      result.radiance[c] = signal[c] / signal_weight[c];
+      if (consistency && (mine.flags & kSaturatedBit[c]) != 0) {
+        result.radiance[c] = std::max(result.radiance[c], mine.radiance[c]);
+      }
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      if (share[k] >= kLeastShare * signal_weight[1]) result.sources |= view_bit[k];
+    }
+    result.origin = dark ? PixelOrigin::kDark : PixelOrigin::kMeasured;
+  } else {
+    // Saturated wherever it was seen: each says "at least"; the largest bound says most.
+    // Clipped areas have no texture, so that wrong disparities "hide" their pixels here and
+    // there: a view's bound counts in spite of that unless the disparity is sure.
+    bool is_bounded = false;
+    std::uint8_t clipped = kSaturatedAny;
+    for (std::size_t k = 0; k < count; ++k) {
+      if ((samples[k].flags & kMasked) != 0) continue;
+      if (samples[k].hidden && (confidence >= kSureConfidence || !MeetsBound(samples[k], mine))) {
+        continue;
+      }
+      if (samples[k].usable && k > 0) continue;
+      if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
+      is_bounded = true;
+      clipped = static_cast<std::uint8_t>(clipped & samples[k].flags);
+      if (samples[k].radiance[1] > result.radiance[1]) result.sources = view_bit[k];
+      for (std::size_t c = 0; c < 3; ++c)
+        result.radiance[c] = std::max(result.radiance[c], samples[k].radiance[c]);
+    }
+    NeutraliseClipped(clipped, result.radiance.data());
+    result.origin = is_bounded ? PixelOrigin::kClipped : PixelOrigin::kNoData;
+  }
+  return result;
 }
 
 constexpr float kLeastExposureChange = 0.03F;  // less is light, gloss and vignetting
@@ -360,6 +444,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
          .misalignment_px = options.misalignment_px});
   }
 
+  const RowSampler own_rows(own);
+  std::vector<RowSampler> source_rows;
+  source_rows.reserve(sources.size());
+  for (const SourceLookup& source : sources) source_rows.emplace_back(*source.measurement);
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 8, [&](int begin, int end) {
     MergeSamples samples;
@@ -367,7 +455,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     RayRow rays;
     PointRow own_points;
     PointRow map_points;
-    std::array<SeenRow, kMaxMergeViews> seen;
+    SampledRow mine_row;
+    std::array<SourceRow, kMaxMergeViews> rows;
+    PlainRow plain;
+    std::vector<float> misregistration(static_cast<std::size_t>(width));
     std::vector<float> known_disparity(static_cast<std::size_t>(width), 0.0F);
     for (int y = begin; y < end; ++y) {
       RaysOfRow(output, y, 0, 1, world_from_output_matrix, &rays);
@@ -388,66 +479,79 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       }
       for (std::size_t n = 0; n < sources.size(); ++n) {
         SurfacePointsInView(rays, known_disparity, sources[n].offset, sources[n].camera_from_world,
-                            *sources[n].sampler, map_grid, &seen[n]);
+                            *sources[n].sampler, map_grid, &rows[n].seen);
+      }
+      own_rows.Sample(own_points, &mine_row);
+      const float* confidences = view.confidence.row(y);
+      const float* disparities = view.disparity.row(y);
+      for (std::size_t i = 0; i < misregistration.size(); ++i) {
+        misregistration[i] =
+            options.misalignment_px +
+            (1.0F - (disparity == nullptr ? 0.5F : confidences[i])) * options.distrusted_px;
+      }
+      plain.Start(own, mine_row);
+      for (std::size_t n = 0; n < sources.size(); ++n) {
+        SampleSource(sources[n], source_rows[n], y, width, kBlock, disparities, occlusion_tolerance,
+                     {misregistration.data(), options.model_error}, &rows[n]);
+        plain.Add(own, mine_row, options.consistency, kHalfTrustSigmas, relative_tolerance,
+                  &rows[n]);
       }
       for (int x = 0; x < width; ++x) {
         const auto i = static_cast<std::size_t>(x);
-        const RadianceSample own_raw = own_sampler.SampleAt(own_points.x[i], own_points.y[i]);
+        const bool by_mover = movers.Has(x / kMoverStep, y / kMoverStep);
+        float* out = view.radiance.pixel(x, y);
+        if (mine_row.flags[i] == 0 && !by_mover && !by_hat) {
+          const float least = kLeastShare * plain.weight()[i];
+          unsigned contributed = plain.own_weight()[i] >= least ? 1U : 0U;
+          for (std::size_t n = 0; n < sources.size(); ++n) {
+            contributed |= rows[n].weight[i] >= least ? 2U << n : 0U;
+          }
+          for (std::size_t c = 0; c < 3; ++c) out[c] = plain.Mean(i, c);
+          view.sources.at(x, y) = static_cast<std::uint8_t>(contributed);
+          view.origin.at(x, y) = static_cast<std::uint8_t>(PixelOrigin::kMeasured);
+          continue;
+        }
+        const RadianceSample own_raw = SampleOf(mine_row, i);
         samples[0] = MakeMergeSample(own, own_raw);
         if (by_hat) SetHatWeights(own, own_raw.rgb, &samples[0]);
         MergeSample& mine = samples[0];
         view_bit[0] = 1;
-        const bool by_mover = movers.Has(x / kMoverStep, y / kMoverStep);
         const bool is_marked = (mine.flags & kMover) != 0;
         const bool own_is_clipped =
             (mine.flags & kMasked) == 0 && (mine.flags & kSaturatedAny) != 0;
         std::size_t count = 1;
-        const DisparityLookup::Value d = {view.disparity.at(x, y), view.confidence.at(x, y)};
         // Where this view saw nothing, its disparity is a guess unless others agreed on it: better
         // no data than other views' pixels strewn about.
         const bool is_guess =
-            (mine.flags & kMasked) != 0 && disparity != nullptr && d.confidence < kTrustedScore;
-        const bool by_rotation = disparity == nullptr;
-        const float misregistration =
-            options.misalignment_px +
-            (1.0F - (by_rotation ? 0.5F : d.confidence)) * options.distrusted_px;
-
-        const float cell_x = (static_cast<float>(x) + 0.5F) * cells_per_pixel_x;
-        const float cell_y = (static_cast<float>(y) + 0.5F) * cells_per_pixel_y;
+            (mine.flags & kMasked) != 0 && disparity != nullptr && confidences[i] < kTrustedScore;
         const bool asks_others = !is_guess && (!is_marked || by_mover);
         for (std::size_t n = 0; n < sources.size() && asks_others; ++n) {
           const SourceLookup& source = sources[n];
+          const SourceRow& row = rows[n];
           // Beside a mover the map tells of the mover.
-          const Sight sight = by_mover
-                                  ? Sight::kVisible
-                                  : SightOf(source, seen[n], i, d.disparity, occlusion_tolerance);
+          const Sight sight = by_mover ? Sight::kVisible : row.sight[i];
           // What a disparity map calls hidden is asked only where this view itself does not know.
           if (sight == Sight::kUnknown || (sight == Sight::kHidden && !own_is_clipped)) continue;
-          const float px = seen[n].image.x[i];
-          const float py = seen[n].image.y[i];
-          const RadianceSample raw = source.sampler->SampleAt(px, py);
-          if ((raw.flags & (kMasked | kMover)) != 0) continue;
-          MergeSample s = MakeMergeSample(*source.measurement, raw);
+          const RadianceSample scaled = SampleOf(row.sampled, i);
+          if ((scaled.flags & (kMasked | kMover)) != 0) continue;
+          MergeSample& s = samples[count];
+          s = MergeSample{};
+          s.radiance = scaled.rgb;
+          s.flags = scaled.flags;
+          s.usable = (scaled.flags & kSaturatedAny) == 0;
           s.hidden = sight == Sight::kHidden;
-          s.trust = source.block_trust.at(x / kBlock, y / kBlock);
-          const float factor = source.agreement.Factor(cell_x, cell_y);
-          for (std::size_t c = 0; c < 3; ++c) {
-            s.radiance[c] *= factor;
-            s.variance[c] *= factor * factor;
+          s.trust = row.trust[i];
+          s.relative = options.model_error * options.model_error + source.agreement.excess();
+          for (std::size_t c = 0; c < 3; ++c) s.variance[c] = row.variance[c][i];
+          if (by_hat) {
+            const float factor =
+                source.agreement.Factor((static_cast<float>(x) + 0.5F) * cells_per_pixel_x,
+                                        (static_cast<float>(y) + 0.5F) * cells_per_pixel_y);
+            std::array<float, 3> raw = scaled.rgb;
+            for (float& value : raw) value /= factor;
+            SetHatWeights(*source.measurement, raw, &s);
           }
-          if (s.usable) {
-            const float contrast =
-                factor * LocalContrast(*source.measurement, px, py) * misregistration;
-            const float relative =
-                options.model_error * options.model_error + source.agreement.excess();
-            s.relative = relative;
-            for (std::size_t c = 0; c < 3; ++c) {
-              s.variance[c] += contrast * contrast + relative * s.radiance[c] * s.radiance[c];
-            }
-          }
-          if (by_hat) SetHatWeights(*source.measurement, raw.rgb, &s);
-          view_bit[count] = static_cast<std::uint8_t>(2U << n);
-          samples[count++] = s;
+          view_bit[count++] = static_cast<std::uint8_t>(2U << n);
         }
         if (by_mover && !TakeBackground(is_marked, count, &samples)) count = 1;
 
@@ -473,76 +577,11 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           if ((mine.flags & (kSaturatedAny | kDarkAny)) != 0) DropMinority(count, &samples);
         }
 
-        float* out = view.radiance.pixel(x, y);
-        bool dark = true;
-        float most_trusted = 0.0F;
-        float most_trusted_hidden = 0.0F;
-        for (std::size_t k = 0; k < count; ++k) {
-          if (!samples[k].usable) continue;
-          float& most = samples[k].hidden ? most_trusted_hidden : most_trusted;
-          most = std::max(most, samples[k].trust);
-        }
-        // A single wrong disparity "hides" a surface in every other view at once. Where none sees
-        // the point but what lies there is as bright as the clipped own pixel demands, that is a
-        // better estimate than the bare bound.
-        const bool take_hidden = most_trusted <= kLeastTrust && most_trusted_hidden > kLeastTrust;
-        if (take_hidden) most_trusted = most_trusted_hidden;
-        for (std::size_t k = 0; k < count; ++k) {
-          if (samples[k].hidden && !take_hidden) samples[k].usable = false;
-        }
-        // Where this view is saturated and all that others offer contradicts that, they see
-        // something else.
-        if (most_trusted > kLeastTrust) {
-          // A common estimate of the signal first, so that noise does not bias the weights.
-          std::array<float, 3> signal{};
-          std::array<float, 3> signal_weight{};
-          std::array<float, kMaxMergeViews> share{};
-          for (std::size_t k = 0; k < count; ++k) {
-            const MergeSample& s = samples[k];
-            if (!s.usable) continue;
-            for (std::size_t c = 0; c < 3; ++c) {
-              const float w = by_hat ? s.trust * s.hat[c] : s.trust / s.variance[c];
-              signal[c] += w * s.radiance[c];
-              signal_weight[c] += w;
-              if (c == 1) share[k] = w;
-            }
-            dark = dark && (s.flags & kDarkAny) == kDarkAny;
-          }
-          for (std::size_t c = 0; c < 3; ++c) {
-            out[c] = signal[c] / signal_weight[c];
-            if (options.consistency && (mine.flags & kSaturatedBit[c]) != 0) {
-              out[c] = std::max(out[c], mine.radiance[c]);
-            }
-          }
-          std::uint8_t& contributed = view.sources.at(x, y);
-          for (std::size_t k = 0; k < count; ++k) {
-            if (share[k] >= kLeastShare * signal_weight[1]) contributed |= view_bit[k];
-          }
-          view.origin.at(x, y) =
-              static_cast<std::uint8_t>(dark ? PixelOrigin::kDark : PixelOrigin::kMeasured);
-        } else {
-          // Saturated wherever it was seen: each says "at least"; the largest bound says most.
-          // Clipped areas have no texture, so that wrong disparities "hide" their pixels here and
-          // there: a view's bound counts in spite of that unless the disparity is sure.
-          bool is_bounded = false;
-          std::uint8_t clipped = kSaturatedAny;
-          for (std::size_t k = 0; k < count; ++k) {
-            if ((samples[k].flags & kMasked) != 0) continue;
-            if (samples[k].hidden &&
-                (d.confidence >= kSureConfidence || !MeetsBound(samples[k], mine))) {
-              continue;
-            }
-            if (samples[k].usable && k > 0) continue;
-            if (k > 0 && (mine.flags & kMasked) == 0 && samples[k].trust <= kLeastTrust) continue;
-            is_bounded = true;
-            clipped = static_cast<std::uint8_t>(clipped & samples[k].flags);
-            if (samples[k].radiance[1] > out[1]) view.sources.at(x, y) = view_bit[k];
-            for (std::size_t c = 0; c < 3; ++c) out[c] = std::max(out[c], samples[k].radiance[c]);
-          }
-          NeutraliseClipped(clipped, out);
-          view.origin.at(x, y) =
-              static_cast<std::uint8_t>(is_bounded ? PixelOrigin::kClipped : PixelOrigin::kNoData);
-        }
+        const MergedPixel pixel =
+            MergePixel(count, view_bit, confidences[i], by_hat, options.consistency, &samples);
+        std::copy(pixel.radiance.begin(), pixel.radiance.end(), out);
+        view.sources.at(x, y) = pixel.sources;
+        view.origin.at(x, y) = static_cast<std::uint8_t>(pixel.origin);
       }
       if (view.exposure.scale != 1.0F) {
         float* row = view.radiance.row(y);

@@ -1,0 +1,96 @@
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "core/image/image.h"
+#include "core/photometry/measurement.h"
+#include "core/stereo/agreement_field.h"
+#include "core/stereo/merge_source.h"
+#include "core/stereo/row_geometry.h"
+
+namespace omnihdr {
+
+// A merge's arithmetic a row of output pixels at a time, one array a quantity, so that it is done
+// in vectors. Rows are values, one of each per thread; a RowSampler may be used from any thread.
+
+// What a view holds along a row of points.
+struct SampledRow {
+  std::array<std::vector<float>, 3> radiance;
+  std::vector<float> contrast;  // change of luminance per pixel around the nearest pixel
+  std::vector<std::uint8_t> flags;
+  std::size_t size() const { return flags.size(); }
+};
+
+inline RadianceSample SampleOf(const SampledRow& row, std::size_t i) {
+  return {{row.radiance[0][i], row.radiance[1][i], row.radiance[2][i]}, row.flags[i]};
+}
+
+// PanoramaSampler::SampleAt and the local contrast, for rows. Borrowed: the measurement must
+// outlive it.
+class RowSampler {
+ public:
+  explicit RowSampler(const Measurement& m);
+  void Sample(const PointRow& points, SampledRow* out) const;
+  const Image<float>& contrast() const { return contrast_; }
+
+ private:
+  const Measurement* m_;
+  bool is_cylinder_;
+  // Of the four pixels around a point whose upper left one is (x, y - 1): bits that any has, and,
+  // from the ninth on, which of them not all have.
+  Image<std::uint16_t> around_;
+  Image<float> contrast_;
+};
+
+// Change of luminance per pixel: columns wrap round, rows end.
+Image<float> ContrastOf(const Measurement& m);
+
+// What another view says of a row of the output's surface points.
+struct SourceRow {
+  SeenRow seen;
+  SampledRow sampled;                          // radiance as the reference would have measured it
+  std::array<std::vector<float>, 3> variance;  // of that
+  std::vector<float> trust;                    // of the block of pixels; then of the pixel
+  std::vector<Sight> sight;
+  std::vector<float> weight;  // of green in the mean of plain pixels
+};
+
+// How likely it is that a view shows something else than the surface sought.
+struct MergeErrors {
+  const float* misregistration;  // of each output pixel, in pixels
+  float model_error;             // relative
+};
+
+// Fills `sampled` to `trust` of a row from what is seen of it.
+void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, int width,
+                  int block, const float* disparity, float occlusion_tolerance,
+                  const MergeErrors& errors, SourceRow* row);
+
+// The mean of a row's plain pixels: those that the reference measured in every channel. Values of
+// other pixels are computed as well and mean nothing.
+class PlainRow {
+ public:
+  void Start(const Measurement& own, const SampledRow& mine);
+  // `consistency`: whether a sample counts by its agreement with the reference's, by as many
+  // standard deviations as halve the trust, beside a relative tolerance.
+  void Add(const Measurement& own, const SampledRow& mine, bool consistency,
+           float half_trust_sigmas, float relative_tolerance, SourceRow* source);
+
+  float Mean(std::size_t x, std::size_t channel) const {
+    return sum_[channel][x] / weight_[channel][x];
+  }
+  // Of green; of the reference's own sample.
+  const std::vector<float>& weight() const { return weight_[1]; }
+  const std::vector<float>& own_weight() const { return own_weight_; }
+
+ private:
+  std::array<std::vector<float>, 3> sum_;
+  std::array<std::vector<float>, 3> weight_;
+  std::vector<float> own_weight_;
+  std::vector<float> chi_;
+  std::vector<float> trust_;
+};
+
+}  // namespace omnihdr

@@ -1,0 +1,100 @@
+#include "core/stereo/merge_row.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+namespace omnihdr::merge_row_test {
+namespace {
+
+// Noise with clipped, dark and masked areas, so that every rim occurs.
+Measurement Random(const Projection& projection, int width, int height) {
+  std::mt19937 random(5);
+  std::uniform_real_distribution<float> radiance(0.01F, 2.0F);
+  Measurement m;
+  m.projection = projection;
+  m.radiance = Image<float>(width, height, 4);
+  m.flags = Image<std::uint8_t>(width, height);
+  m.saturation = {1.5F, 1.5F, 1.5F};
+  m.variance_floor = {1e-4F, 1e-4F, 1e-4F};
+  m.variance_per_radiance = {1e-3F, 1e-3F, 1e-3F};
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < width; ++x) {
+      for (int c = 0; c < 3; ++c) m.radiance.pixel(x, y)[c] = radiance(random);
+      const int area = (x / 5 + y / 4) % 6;
+      if (area == 1) m.flags.at(x, y) = kSaturatedR | kSaturatedB;
+      if (area == 2) m.flags.at(x, y) = kDarkG;
+      if (area == 4) m.flags.at(x, y) = kMasked;
+    }
+  }
+  return m;
+}
+
+// Points all over, at the borders and a little beyond the upper and the lower one.
+PointRow Points(int width, int height) {
+  std::mt19937 random(6);
+  std::uniform_real_distribution<float> x(0.0F, static_cast<float>(width));
+  std::uniform_real_distribution<float> y(-1.0F, static_cast<float>(height) + 1.0F);
+  PointRow points;
+  for (int k = 0; k < 3001; ++k) {
+    points.x.push_back(k % 97 == 0 ? 0.0F : (k % 89 == 0 ? static_cast<float>(width) : x(random)));
+    points.y.push_back(y(random));
+  }
+  return points;
+}
+
+void ExpectAsOneByOne(const Measurement& m, float least_y, float most_y) {
+  const PanoramaSampler single(m);
+  const RowSampler rows(m);
+  PointRow points = Points(m.radiance.width(), m.radiance.height());
+  for (float& y : points.y) y = std::clamp(y, least_y, most_y);
+  SampledRow sampled;
+  rows.Sample(points, &sampled);
+  ASSERT_EQ(sampled.size(), points.x.size());
+  for (std::size_t i = 0; i < sampled.size(); ++i) {
+    const RadianceSample expected = single.SampleAt(points.x[i], points.y[i]);
+    ASSERT_EQ(sampled.flags[i], expected.flags) << points.x[i] << ", " << points.y[i];
+    for (std::size_t c = 0; c < 3; ++c) {
+      ASSERT_NEAR(sampled.radiance[c][i], expected.rgb[c], 1e-5F)
+          << points.x[i] << ", " << points.y[i];
+    }
+    if (expected.flags == kMasked) continue;
+    ASSERT_NEAR(sampled.contrast[i], LocalContrast(m, points.x[i], points.y[i]), 1e-5F)
+        << points.x[i] << ", " << points.y[i];
+  }
+}
+
+TEST(RowSampler, SamplesALatLongAsOneByOne) {
+  ExpectAsOneByOne(Random(Projection::Equirectangular(64, 32), 64, 32), 0.0F, 32.0F);
+}
+
+TEST(RowSampler, SamplesACylinderAsOneByOneAndNothingBeyondItsEnds) {
+  ExpectAsOneByOne(Random(Projection::Cylindrical(64, 40, -1.0, 1.0), 64, 40), -1.0F, 41.0F);
+}
+
+TEST(AgreementField, FactorsOfARowAreThoseOfItsPoints) {
+  std::mt19937 random(7);
+  std::uniform_int_distribution<int> cell(0, AgreementField::kWidth * AgreementField::kHeight - 1);
+  std::vector<AgreementField::Residual> residuals(20000);
+  for (AgreementField::Residual& r : residuals) {
+    r.cell = cell(random);
+    r.ratio = 1.0F + 0.2F * std::sin(0.01F * static_cast<float>(r.cell));
+    r.noise = 1e-4F;
+  }
+  AgreementField field;
+  field.Fit(residuals);
+  constexpr int kCount = 500;
+  constexpr float kStep = static_cast<float>(AgreementField::kWidth) / kCount;
+  std::vector<float> row(kCount);
+  for (const float y : {0.1F, 7.3F, 31.5F, 63.9F}) {
+    field.FactorsOfRow(y, kStep, kCount, row.data());
+    for (int k = 0; k < kCount; ++k) {
+      ASSERT_NEAR(row[static_cast<std::size_t>(k)],
+                  field.Factor((static_cast<float>(k) + 0.5F) * kStep, y), 1e-5F);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace omnihdr::merge_row_test
