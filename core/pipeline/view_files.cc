@@ -2,14 +2,17 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <chrono>
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <utility>
 
 #include "core/base/file.h"
 #include "core/base/parallel_for.h"
 #include "core/base/profile.h"
+#include "core/base/simd.h"
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
 #include "core/photometry/clipped.h"
@@ -52,6 +55,44 @@ RadianceStatistics Statistics(const MergedView& view, bool is_latlong) {
   }
   s.valid_fraction = total > 0.0 ? valid / total : 0.0;
   return s;
+}
+
+// Bits of the fraction that are kept of a disparity: a step of 1.2e-4 of it, a hundredth of what
+// matching can tell, where the rest would be noise that does not compress.
+constexpr unsigned kDisparityBits = 12;
+constexpr float kConfidenceStep = 1.0F / 256.0F;
+
+OMNIHDR_SIMD_CLONES
+void RoundFractions(const float* __restrict in, int count, float* __restrict out) {
+  constexpr unsigned kDropped = 23U - kDisparityBits;
+  constexpr std::uint32_t kHalf = 1U << (kDropped - 1U);
+  constexpr std::uint32_t kKept = ~((1U << kDropped) - 1U);
+  for (int i = 0; i < count; ++i) {
+    const auto bits = std::bit_cast<std::uint32_t>(in[i]);
+    // NaN stays one.
+    const std::uint32_t rounded = in[i] == in[i] ? (bits + kHalf) & kKept : bits;
+    out[i] = std::bit_cast<float>(rounded);
+  }
+}
+
+OMNIHDR_SIMD_CLONES
+void RoundToSteps(const float* __restrict in, int count, float step, float* __restrict out) {
+  for (int i = 0; i < count; ++i) out[i] = step * std::floor(in[i] / step + 0.5F);
+}
+
+// `view`'s disparity and confidence as they are written.
+std::pair<Image<float>, Image<float>> RoundedDisparity(const MergedView& view) {
+  const int width = view.disparity.width();
+  const int height = view.disparity.height();
+  std::pair<Image<float>, Image<float>> rounded = {Image<float>::Uninitialized(width, height),
+                                                   Image<float>::Uninitialized(width, height)};
+  ParallelFor(height, 64, [&](int begin, int end) {
+    for (int y = begin; y < end; ++y) {
+      RoundFractions(view.disparity.row(y), width, rounded.first.row(y));
+      RoundToSteps(view.confidence.row(y), width, kConfidenceStep, rounded.second.row(y));
+    }
+  });
+  return rounded;
 }
 
 // OpenEXR's capDate, "YYYY:MM:DD hh:mm:ss".
@@ -157,10 +198,11 @@ Status WritePictures(const std::filesystem::path& directory, const MergedView& v
   };
   const auto write_disparity = [&]() -> Status {
     if (!with_disparity) return {};
+    const auto [disparity, confidence] = RoundedDisparity(view);
     return WriteExr(directory / "disparity.exr",
-                    {{"disparity", view.disparity, ExrPixelType::kFloat, 0},
-                     {"confidence", view.confidence, ExrPixelType::kHalf, 0}},
-                    attributes, ExrCompression::kZip);
+                    {{"disparity", disparity, ExrPixelType::kFloat, 0},
+                     {"confidence", confidence, ExrPixelType::kHalf, 0}},
+                    attributes, ExrCompression::kPiz);
   };
   const auto write_preview = [&]() -> Status {
     OMNIHDR_ASSIGN(const std::vector<std::byte> jpeg,

@@ -6,34 +6,120 @@
 #include <limits>
 
 #include "core/base/parallel_for.h"
+#include "core/base/simd.h"
 #include "core/sphere/latlong_grid.h"
+#include "core/stereo/row_geometry.h"
 
 namespace omnihdr {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
+// The unknown as if at infinity, for arithmetic that is then thrown away.
+OMNIHDR_SIMD_CLONES
+void KnownOrZero(const float* __restrict in, int count, float* __restrict out) {
+  for (int i = 0; i < count; ++i) out[i] = in[i] >= 0.0F ? in[i] : 0.0F;
+}
+
 Image<float> WarpOnGrid(const DisparityMap& map, const Eigen::Vector3f& offset,
                         const LatLongGrid& grid) {
   const int width = map.disparity.width();
   const int height = map.disparity.height();
   Image<float> warped(width, height, 1, kNan);
+  RayRow rays;
+  SeenRow seen;
+  std::vector<float> known(static_cast<std::size_t>(width));
   for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      const float d = map.disparity.at(x, y);
-      if (!(d >= 0.0F)) continue;
-      const Eigen::Vector3f v = grid.Ray(x, y) - d * offset;
-      const float length = v.norm();
-      if (length < 1e-6F) continue;
+    RaysOfRow(grid, y, 0, 1, Eigen::Matrix3f::Identity(), &rays);
+    const float* row = map.disparity.row(y);
+    KnownOrZero(row, width, known.data());
+    SurfacePointsOnGrid(rays, known.data(), offset, grid, &seen);
+    for (std::size_t i = 0; i < known.size(); ++i) {
+      const float d = row[i];
+      const float length = seen.distance[i];
+      if (!(d >= 0.0F) || length < 1e-6F) continue;
       const float d_there = d / length;
-      int tx = 0;
-      int ty = 0;
-      grid.Pixel(v, &tx, &ty);
-      float& target = warped.at(tx, ty);
+      float& target = warped.at(seen.grid_column[i], seen.grid_row[i]);
       if (!(target >= d_there)) target = d_there;
     }
   }
   return warped;
+}
+
+constexpr std::size_t kMostMaps = 9;
+
+// What the maps say of a row, and how the votes stand.
+struct VoteRow {
+  std::array<std::vector<float>, kMostMaps> value;   // NaN: nothing
+  std::array<std::vector<float>, kMostMaps> weight;  // 0 there
+  std::vector<float> candidate;                      // 0 where there is none
+  std::vector<float> sum;
+  std::vector<float> support;
+  std::vector<float> score;
+  std::vector<float> best_score;
+  std::vector<float> best_mean;
+  explicit VoteRow(std::size_t width) : candidate(width), sum(width), support(width), score(width) {
+    for (std::vector<float>& row : value) row.resize(width);
+    for (std::vector<float>& row : weight) row.resize(width);
+  }
+};
+
+struct Tolerance {
+  float absolute;
+  float relative;
+};
+
+OMNIHDR_SIMD_CLONES
+void WeighKnown(const float* __restrict value, const float* __restrict weight, float constant,
+                int count, float* __restrict out) {
+  for (int i = 0; i < count; ++i) {
+    const float w = weight != nullptr ? constant + weight[i] : constant;
+    out[i] = value[i] >= 0.0F ? w : 0.0F;
+  }
+}
+
+// Adds the votes of a map for the candidates.
+OMNIHDR_SIMD_CLONES
+void AddVotes(const float* __restrict candidate, const float* __restrict value,
+              const float* __restrict weight, int count, Tolerance tolerance, float* __restrict sum,
+              float* __restrict support) {
+  for (int i = 0; i < count; ++i) {
+    const float wide = tolerance.relative * candidate[i];
+    const float near = tolerance.absolute > wide ? tolerance.absolute : wide;
+    const float gap = std::fabs(value[i] - candidate[i]);
+    const float w = gap <= near ? weight[i] : 0.0F;  // never, of NaN
+    support[i] += w;
+    sum[i] += w > 0.0F ? w * value[i] : 0.0F;
+  }
+}
+
+// Takes from the scores where a neighbour sees through the candidate.
+OMNIHDR_SIMD_CLONES
+void SubtractViolations(const float* __restrict map, const int* __restrict column,
+                        const int* __restrict row, const float* __restrict distance,
+                        const float* __restrict candidate, int count, int width,
+                        Tolerance tolerance, float violation, float* __restrict score) {
+  for (int i = 0; i < count; ++i) {
+    const float expected = candidate[i] / distance[i];
+    const float wide = tolerance.relative * expected;
+    const float seen = map[row[i] * width + column[i]];
+    const float limit = expected - (tolerance.absolute > wide ? tolerance.absolute : wide);
+    const int violates = static_cast<int>(seen >= 0.0F) & static_cast<int>(seen < limit) &
+                         static_cast<int>(distance[i] >= 1e-6F);
+    score[i] -= violates != 0 ? violation : 0.0F;
+  }
+}
+
+OMNIHDR_SIMD_CLONES
+void KeepBest(const float* __restrict value, const float* __restrict score,
+              const float* __restrict sum, const float* __restrict support, int count,
+              float* __restrict best_score, float* __restrict best_mean) {
+  for (int i = 0; i < count; ++i) {
+    const int better =
+        static_cast<int>(value[i] >= 0.0F) & static_cast<int>(score[i] > best_score[i]);
+    best_score[i] = better != 0 ? score[i] : best_score[i];
+    best_mean[i] = better != 0 ? sum[i] / support[i] : best_mean[i];
+  }
 }
 
 }  // namespace
@@ -56,74 +142,53 @@ DisparityMap FuseDisparity(const DisparityMap& reference,
       warped[static_cast<std::size_t>(n)] = WarpOnGrid(*neighbour.map, -neighbour.offset, grid);
     }
   });
-  const auto tolerance = static_cast<float>(options.tolerance);
-  const auto relative = static_cast<float>(options.relative_tolerance);
-  const auto maps = static_cast<float>(neighbours.size() + 1);
+  const Tolerance tolerance = {static_cast<float>(options.tolerance),
+                               static_cast<float>(options.relative_tolerance)};
+  const std::size_t maps = std::min(neighbours.size() + 1, kMostMaps);
 
   DisparityMap fused;
   fused.disparity = Image<float>(width, height, 1, kNan);
   fused.confidence = Image<float>(width, height);
   ParallelFor(height, 8, [&](int begin, int end) {
-    std::vector<float> values;
-    std::vector<float> weights;
+    const auto pixels = static_cast<std::size_t>(width);
+    VoteRow votes(pixels);
+    RayRow rays;
+    SeenRow seen;
     for (int y = begin; y < end; ++y) {
-      for (int x = 0; x < width; ++x) {
-        values.clear();
-        weights.clear();
-        const float own = reference.disparity.at(x, y);
-        if (own >= 0.0F) {
-          values.push_back(own);
-          weights.push_back(0.5F + reference.confidence.at(x, y));
+      RaysOfRow(grid, y, 0, 1, Eigen::Matrix3f::Identity(), &rays);
+      for (std::size_t m = 0; m < maps; ++m) {
+        const float* row = m == 0 ? reference.disparity.row(y) : warped[m - 1].row(y);
+        std::copy_n(row, width, votes.value[m].begin());
+        WeighKnown(row, m == 0 ? reference.confidence.row(y) : nullptr, m == 0 ? 0.5F : 1.0F, width,
+                   votes.weight[m].data());
+      }
+      votes.best_score.assign(pixels, -1e9F);
+      votes.best_mean.assign(pixels, kNan);
+      for (std::size_t m = 0; m < maps; ++m) {
+        KnownOrZero(votes.value[m].data(), width, votes.candidate.data());
+        votes.sum.assign(pixels, 0.0F);
+        votes.support.assign(pixels, 0.0F);
+        for (std::size_t k = 0; k < maps; ++k) {
+          AddVotes(votes.candidate.data(), votes.value[k].data(), votes.weight[k].data(), width,
+                   tolerance, votes.sum.data(), votes.support.data());
         }
-        for (const Image<float>& w : warped) {
-          const float d = w.at(x, y);
-          if (d >= 0.0F) {
-            values.push_back(d);
-            weights.push_back(1.0F);
-          }
+        votes.score = votes.support;
+        for (std::size_t n = 0; n + 1 < maps; ++n) {
+          const NeighbourMap& neighbour = neighbours[n];
+          SurfacePointsOnGrid(rays, votes.candidate.data(), neighbour.offset, grid, &seen);
+          SubtractViolations(neighbour.map->disparity.data(), seen.grid_column.data(),
+                             seen.grid_row.data(), seen.distance.data(), votes.candidate.data(),
+                             width, width, tolerance, options.violation_weight, votes.score.data());
         }
-        const Eigen::Vector3f ray = grid.Ray(x, y);
-        float best_score = -1e9F;
-        float best_mean = kNan;
-        for (std::size_t i = 0; i < values.size(); ++i) {
-          const float candidate = values[i];
-          // One next to a candidate already judged would be judged alike.
-          const auto judged = values.begin() + static_cast<std::ptrdiff_t>(i);
-          const float alike = 0.25F * std::max(tolerance, relative * candidate);
-          if (std::any_of(values.begin(), judged,
-                          [&](float v) { return std::abs(v - candidate) < alike; })) {
-            continue;
-          }
-          const float near = std::max(tolerance, relative * candidate);
-          float support = 0.0F;
-          float sum = 0.0F;
-          for (std::size_t k = 0; k < values.size(); ++k) {
-            if (std::abs(values[k] - candidate) > near) continue;
-            support += weights[k];
-            sum += weights[k] * values[k];
-          }
-          float score = support;
-          for (const NeighbourMap& neighbour : neighbours) {
-            const Eigen::Vector3f v = ray - candidate * neighbour.offset;
-            const float length = v.norm();
-            if (length < 1e-6F) continue;
-            const float expected = candidate / length;
-            int nx = 0;
-            int ny = 0;
-            grid.Pixel(v, &nx, &ny);
-            const float seen = neighbour.map->disparity.at(nx, ny);
-            if (seen >= 0.0F && seen < expected - std::max(tolerance, relative * expected)) {
-              score -= options.violation_weight;
-            }
-          }
-          if (score > best_score) {
-            best_score = score;
-            best_mean = sum / support;
-          }
-        }
-        if (best_score < options.least_score) continue;
-        fused.disparity.at(x, y) = best_mean;
-        fused.confidence.at(x, y) = std::clamp(best_score / maps, 0.0F, 1.0F);
+        KeepBest(votes.value[m].data(), votes.score.data(), votes.sum.data(), votes.support.data(),
+                 width, votes.best_score.data(), votes.best_mean.data());
+      }
+      for (std::size_t i = 0; i < pixels; ++i) {
+        if (votes.best_score[i] < options.least_score) continue;
+        const int x = static_cast<int>(i);
+        fused.disparity.at(x, y) = votes.best_mean[i];
+        fused.confidence.at(x, y) =
+            std::clamp(votes.best_score[i] / static_cast<float>(maps), 0.0F, 1.0F);
       }
     }
   });

@@ -123,9 +123,8 @@ void PointsInView(const RayRow& rays, const Eigen::Matrix3f& camera_from_world,
   }
 }
 
-void SurfacePointsInView(const RayRow& rays, const std::vector<float>& disparity,
-                         const Eigen::Vector3f& offset, const Eigen::Matrix3f& camera_from_world,
-                         const PanoramaSampler& view, const LatLongGrid& grid, SeenRow* seen) {
+void SurfacePointsOnGrid(const RayRow& rays, const float* disparity, const Eigen::Vector3f& offset,
+                         const LatLongGrid& grid, SeenRow* seen) {
   const std::size_t count = rays.size();
   seen->towards.x.resize(count);
   seen->towards.y.resize(count);
@@ -133,11 +132,17 @@ void SurfacePointsInView(const RayRow& rays, const std::vector<float>& disparity
   seen->distance.resize(count);
   seen->grid_column.resize(count);
   seen->grid_row.resize(count);
-  FromView(Of(rays), disparity.data(), {offset.x(), offset.y(), offset.z()}, seen->towards.x.data(),
+  FromView(Of(rays), disparity, {offset.x(), offset.y(), offset.z()}, seen->towards.x.data(),
            seen->towards.y.data(), seen->towards.z.data(), seen->distance.data());
   PointsOnGrid(seen->towards, grid, &seen->image);
   PixelsOf(seen->image.x.data(), seen->image.y.data(), static_cast<int>(count), grid.width(),
            grid.height(), seen->grid_column.data(), seen->grid_row.data());
+}
+
+void SurfacePointsInView(const RayRow& rays, const std::vector<float>& disparity,
+                         const Eigen::Vector3f& offset, const Eigen::Matrix3f& camera_from_world,
+                         const PanoramaSampler& view, const LatLongGrid& grid, SeenRow* seen) {
+  SurfacePointsOnGrid(rays, disparity.data(), offset, grid, seen);
   PointsInView(seen->towards, camera_from_world, view, &seen->image);
 }
 

@@ -51,5 +51,8 @@ struct SeenRow {
 void SurfacePointsInView(const RayRow& rays, const std::vector<float>& disparity,
                          const Eigen::Vector3f& offset, const Eigen::Matrix3f& camera_from_world,
                          const PanoramaSampler& view, const LatLongGrid& grid, SeenRow* seen);
+// The same without the points in the view: only which pixels of the grid look at them.
+void SurfacePointsOnGrid(const RayRow& rays, const float* disparity, const Eigen::Vector3f& offset,
+                         const LatLongGrid& grid, SeenRow* seen);
 
 }  // namespace omnihdr

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <memory>
 #include <utility>
 
 #include "core/base/parallel_for.h"
@@ -13,29 +14,206 @@ namespace omnihdr {
 namespace {
 
 constexpr int kPad = 32;  // room before label 0 and after the last, in values
+// Of labels that were not in question at the path's last pixel: more than any that was.
+constexpr std::uint16_t kGuard = 0x7000;
+constexpr int kBlock = 8;  // labels worked on at a time: a vector's width
 
-// One step of a path: from the costs of the path's previous pixel to this pixel's, added to its
-// sums. `previous` and `current` have a guard value on either side.
-OMNIHDR_SIMD_CLONES
-std::uint16_t PathStep(const std::uint8_t* cost, const std::uint16_t* previous,
-                       std::uint16_t previous_least, std::uint16_t small_penalty,
-                       std::uint16_t large_penalty, int labels, std::uint16_t* current,
-                       std::uint16_t* sum) {
-  const auto jump = static_cast<std::uint16_t>(previous_least + large_penalty);
-  std::uint16_t least = 0xFFFF;
-  for (int k = 0; k < labels; ++k) {
-    const auto down = static_cast<std::uint16_t>(previous[k - 1] + small_penalty);
-    const auto up = static_cast<std::uint16_t>(previous[k + 1] + small_penalty);
-    std::uint16_t best = previous[k];
-    best = best < down ? best : down;
-    best = best < up ? best : up;
-    best = best < jump ? best : jump;
-    const auto value = static_cast<std::uint16_t>(cost[k] + best - previous_least);
-    current[k] = value;
-    sum[k] = static_cast<std::uint16_t>(sum[k] + value);
-    least = least < value ? least : value;
+// A path's costs at its last pixel, by label, with room on either side.
+struct Path {
+  std::uint16_t* previous = nullptr;
+  std::uint16_t* current = nullptr;
+  LabelRange known;
+  std::uint16_t least = 0;
+};
+
+struct PathPenalties {
+  std::uint16_t small_change = 0;
+  std::uint16_t large_change = 0;
+};
+
+using Lanes = std::uint16_t __attribute__((vector_size(2 * kBlock)));
+using ByteLanes = std::uint8_t __attribute__((vector_size(kBlock)));
+
+OMNIHDR_ALWAYS_INLINE Lanes LoadLanes(const std::uint16_t* from) {
+  Lanes lanes;
+  std::memcpy(&lanes, from, sizeof lanes);
+  return lanes;
+}
+OMNIHDR_ALWAYS_INLINE Lanes LoadBytes(const std::uint8_t* from) {
+  ByteLanes bytes;
+  std::memcpy(&bytes, from, sizeof bytes);
+  return __builtin_convertvector(bytes, Lanes);
+}
+OMNIHDR_ALWAYS_INLINE void StoreLanes(const Lanes& lanes, std::uint16_t* to) {
+  std::memcpy(to, &lanes, sizeof lanes);
+}
+OMNIHDR_ALWAYS_INLINE Lanes Least(const Lanes& a, const Lanes& b) { return a < b ? a : b; }
+OMNIHDR_ALWAYS_INLINE std::uint16_t LeastLane(Lanes lanes) {
+  lanes = Least(lanes, __builtin_shufflevector(lanes, lanes, 4, 5, 6, 7, 0, 1, 2, 3));
+  lanes = Least(lanes, __builtin_shufflevector(lanes, lanes, 2, 3, 0, 1, 6, 7, 4, 5));
+  return lanes[0] < lanes[1] ? lanes[0] : lanes[1];
+}
+
+OMNIHDR_ALWAYS_INLINE void StartPath(int labels, Path* path) {
+  for (int k = 0; k < labels; ++k) path->previous[k] = 0;
+  path->previous[-1] = path->previous[labels] = kGuard;
+  path->known = {0, labels};
+  path->least = 0;
+}
+
+// One step of a path (Hirschmueller 2008, eq. 13): from the costs of its last pixel to this one's,
+// which become its sums or are added to them.
+template <bool kAdds>
+OMNIHDR_ALWAYS_INLINE void Step(const std::uint8_t* __restrict cost, const LabelRange& range,
+                                const PathPenalties& penalties, Path* path,
+                                std::uint16_t* __restrict sum) {
+  const std::uint16_t* __restrict previous = path->previous;
+  if (!(range == path->known)) {
+    // The step reads one label beyond the range on either side.
+    const int known_end = path->known.first + path->known.count;
+    const int begin = range.first - 1;
+    const int end = range.first + range.count + 1;
+    const int low_end = end < path->known.first ? end : path->known.first;
+    for (int k = begin; k < low_end; ++k) path->previous[k] = kGuard;
+    for (int k = begin > known_end ? begin : known_end; k < end; ++k) path->previous[k] = kGuard;
   }
-  return least;
+  const std::uint16_t base = path->least;
+  const auto jump = static_cast<std::uint16_t>(base + penalties.large_change);
+  std::uint16_t* __restrict current = path->current + range.first;
+  previous += range.first;
+  Lanes least = Lanes{} + std::uint16_t{0xFFFF};
+  int k = 0;
+  for (; k + kBlock <= range.count; k += kBlock) {
+    const Lanes down = LoadLanes(previous + k - 1) + penalties.small_change;
+    const Lanes up = LoadLanes(previous + k + 1) + penalties.small_change;
+    const Lanes stay = Least(LoadLanes(previous + k), Lanes{} + jump);
+    const Lanes value = LoadBytes(cost + k) + Least(Least(down, up), stay) - base;
+    StoreLanes(value, current + k);
+    StoreLanes(kAdds ? LoadLanes(sum + k) + value : value, sum + k);
+    least = Least(least, value);
+  }
+  for (; k < range.count; ++k) {
+    const auto down = static_cast<std::uint16_t>(previous[k - 1] + penalties.small_change);
+    const auto up = static_cast<std::uint16_t>(previous[k + 1] + penalties.small_change);
+    const std::uint16_t best = std::min({previous[k], jump, down, up});
+    const auto value = static_cast<std::uint16_t>(cost[k] + best - base);
+    current[k] = value;
+    sum[k] = kAdds ? static_cast<std::uint16_t>(sum[k] + value) : value;
+    least[0] = std::min(least[0], value);
+  }
+  current[-1] = current[range.count] = kGuard;
+  path->least = LeastLane(least);
+  path->known = range;
+  std::swap(path->previous, path->current);
+}
+
+// Buffers of some paths, for labels each.
+class PathBuffers {
+ public:
+  PathBuffers(int paths, int labels)
+      : labels_(labels),
+        values_(static_cast<std::size_t>(2 * paths) * static_cast<std::size_t>(labels + 2 * kPad),
+                kGuard),
+        paths_(static_cast<std::size_t>(paths)) {
+    std::uint16_t* at = values_.data() + kPad;
+    for (Path& path : paths_) {
+      path.previous = at;
+      path.current = at + labels + 2 * kPad;
+      at = path.current + labels + 2 * kPad;
+    }
+  }
+  Path* paths() { return paths_.data(); }
+  int labels() const { return labels_; }
+
+ private:
+  int labels_;
+  std::vector<std::uint16_t> values_;
+  std::vector<Path> paths_;
+};
+
+// What the paths read.
+struct Field {
+  const std::uint8_t* cost;
+  const LabelRange* ranges;
+  const std::size_t* offsets;
+  const std::uint8_t* brightness;
+  int width;
+  int height;
+  int tiles;  // a row
+  SgmOptions options;
+};
+
+OMNIHDR_ALWAYS_INLINE PathPenalties PenaltiesBetween(const Field& f, std::uint8_t a,
+                                                     std::uint8_t b) {
+  const int edge = a > b ? a - b : b - a;
+  const int large = f.options.large_penalty - 4 * edge;
+  const int least = f.options.least_large_penalty;
+  return {static_cast<std::uint16_t>(f.options.small_penalty),
+          static_cast<std::uint16_t>(large > least ? large : least)};
+}
+
+// A row in one direction, starting `lead` pixels before its first one so that the seam is no
+// border.
+template <bool kAdds>
+OMNIHDR_ALWAYS_INLINE void AlongRow(const Field& f, int y, int direction, int lead,
+                                    std::uint16_t* discard, Path* path, std::uint16_t* sums) {
+  const std::uint8_t* brightness = f.brightness + static_cast<std::ptrdiff_t>(y) * f.width;
+  const std::ptrdiff_t first_tile = static_cast<std::ptrdiff_t>(y) * f.tiles;
+  int x = direction > 0 ? f.width - lead : lead - 1;
+  int from = direction > 0 ? x - 1 : x + 1;
+  if (from < 0) from += f.width;
+  if (from >= f.width) from -= f.width;
+  for (int k = -lead; k < f.width; ++k) {
+    const std::ptrdiff_t tile = first_tile + x / kTileColumns;
+    const LabelRange& range = f.ranges[tile];
+    const std::size_t offset = f.offsets[tile] + static_cast<std::size_t>(x % kTileColumns) *
+                                                     static_cast<std::size_t>(range.count);
+    const PathPenalties penalties = PenaltiesBetween(f, brightness[from], brightness[x]);
+    if (k < 0) {
+      Step<false>(f.cost + offset, range, penalties, path, discard);
+    } else {
+      Step<kAdds>(f.cost + offset, range, penalties, path, sums + offset);
+    }
+    from = x;
+    x += direction;
+    if (x == f.width) x = 0;
+    if (x < 0) x = f.width - 1;
+  }
+}
+
+OMNIHDR_SIMD_CLONES
+void AlongRows(const Field& f, int begin, int end, int labels, Path* path, std::uint16_t* discard,
+               std::uint16_t* sums) {
+  const int lead = f.width / 2 < 64 ? f.width / 2 : 64;
+  for (int y = begin; y < end; ++y) {
+    StartPath(labels, path);
+    AlongRow<false>(f, y, 1, lead, discard, path, sums);
+    StartPath(labels, path);
+    AlongRow<true>(f, y, -1, lead, discard, path, sums);
+  }
+}
+
+// Columns in both directions, abreast, so that whole cache lines are used.
+OMNIHDR_SIMD_CLONES
+void AlongColumns(const Field& f, int begin, int end, int labels, Path* paths,
+                  std::uint16_t* sums) {
+  for (int direction = 1; direction >= -1; direction -= 2) {
+    for (int x = begin; x < end; ++x) StartPath(labels, paths + (x - begin));
+    for (int k = 0; k < f.height; ++k) {
+      const int y = direction > 0 ? k : f.height - 1 - k;
+      const int from = k == 0 ? y : y - direction;
+      const std::uint8_t* here = f.brightness + static_cast<std::ptrdiff_t>(y) * f.width;
+      const std::uint8_t* there = f.brightness + static_cast<std::ptrdiff_t>(from) * f.width;
+      for (int x = begin; x < end; ++x) {
+        const std::ptrdiff_t tile = static_cast<std::ptrdiff_t>(y) * f.tiles + x / kTileColumns;
+        const LabelRange& range = f.ranges[tile];
+        const std::size_t offset = f.offsets[tile] + static_cast<std::size_t>(x % kTileColumns) *
+                                                         static_cast<std::size_t>(range.count);
+        Step<true>(f.cost + offset, range, PenaltiesBetween(f, there[x], here[x]),
+                   paths + (x - begin), sums + offset);
+      }
+    }
+  }
 }
 
 OMNIHDR_SIMD_CLONES
@@ -45,45 +223,6 @@ std::uint16_t LeastOf(const std::uint16_t* values, int count) {
   return least;
 }
 
-// A path's costs at its last pixel, by label. Labels that were not in question there cost a guard
-// value, more than any that was.
-class Path {
- public:
-  explicit Path(int labels)
-      : labels_(labels),
-        a_(static_cast<std::size_t>(labels + 2 * kPad), kGuard),
-        b_(static_cast<std::size_t>(labels + 2 * kPad), kGuard) {}
-  void Start() {
-    std::fill_n(a_.data() + kPad, labels_, std::uint16_t{0});
-    known_ = {0, labels_};
-    least_ = 0;
-  }
-  void Step(const std::uint8_t* cost, const LabelRange& range, int small_penalty, int large_penalty,
-            std::uint16_t* sum) {
-    // The step reads one label beyond the range on either side.
-    std::uint16_t* previous = a_.data() + kPad;
-    const int known_end = known_.first + known_.count;
-    const int begin = range.first - 1;
-    const int end = range.first + range.count + 1;
-    for (int k = begin; k < std::min(end, known_.first); ++k) previous[k] = kGuard;
-    for (int k = std::max(begin, known_end); k < end; ++k) previous[k] = kGuard;
-    least_ =
-        PathStep(cost, previous + range.first, least_, static_cast<std::uint16_t>(small_penalty),
-                 static_cast<std::uint16_t>(large_penalty), range.count,
-                 b_.data() + kPad + range.first, sum);
-    known_ = range;
-    std::swap(a_, b_);
-  }
-
- private:
-  static constexpr std::uint16_t kGuard = 0x7000;
-  int labels_;
-  LabelRange known_;
-  std::uint16_t least_ = 0;
-  std::vector<std::uint16_t> a_;
-  std::vector<std::uint16_t> b_;
-};
-
 }  // namespace
 
 DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8_t>& brightness,
@@ -91,46 +230,28 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
   const int width = volume.width;
   const int height = volume.height;
   const int labels = volume.labels;
-  std::vector<std::uint16_t> sums(volume.cost.size(), 0);
-  const auto large_penalty = [&](int x0, int y0, int x1, int y1) {
-    const int edge = std::abs(brightness.at(x0, y0) - brightness.at(x1, y1));
-    return std::max(options.least_large_penalty, options.large_penalty - 4 * edge);
-  };
-
-  // Rows, both ways, each starting a little before its first pixel so that the seam is no border.
-  ParallelFor(height, 1, [&](int begin, int end) {
-    Path path(labels);
+  // The first path along each row sets what the others add to.
+  const auto sums = std::make_unique_for_overwrite<std::uint16_t[]>(volume.cost.size());
+  const Field field = {volume.cost.data(),
+                       volume.ranges.data(),
+                       volume.offsets.data(),
+                       brightness.data(),
+                       width,
+                       height,
+                       CostVolume::TilesPerRow(width),
+                       options};
+  ParallelFor(height, 4, [&](int begin, int end) {
+    PathBuffers buffers(1, labels);
     std::vector<std::uint16_t> discard(static_cast<std::size_t>(labels));
-    for (int y = begin; y < end; ++y) {
-      for (const int direction : {1, -1}) {
-        const int lead = std::min(64, width / 2);
-        path.Start();
-        for (int k = -lead; k < width; ++k) {
-          const int step = direction > 0 ? k : width - 1 - k;
-          const int x = (step + width) % width;
-          const int from = (x - direction + width) % width;
-          const std::size_t offset = volume.offset(x, y);
-          path.Step(volume.cost.data() + offset, volume.range(x, y), options.small_penalty,
-                    large_penalty(from, y, x, y), k < 0 ? discard.data() : sums.data() + offset);
-        }
-      }
-    }
+    AlongRows(field, begin, end, labels, buffers.paths(), discard.data(), sums.get());
   });
-  // Columns, both ways, some columns abreast so that whole cache lines are used.
-  ParallelFor(width, 8, [&](int begin, int end) {
-    std::vector<Path> paths(static_cast<std::size_t>(end - begin), Path(labels));
-    for (const int direction : {1, -1}) {
-      for (Path& path : paths) path.Start();
-      for (int k = 0; k < height; ++k) {
-        const int y = direction > 0 ? k : height - 1 - k;
-        const int from = k == 0 ? y : y - direction;
-        for (int x = begin; x < end; ++x) {
-          const std::size_t offset = volume.offset(x, y);
-          paths[static_cast<std::size_t>(x - begin)].Step(
-              volume.cost.data() + offset, volume.range(x, y), options.small_penalty,
-              large_penalty(x, from, x, y), sums.data() + offset);
-        }
-      }
+  ParallelFor(width / kTileColumns + 1, 1, [&](int begin, int end) {
+    for (int tile = begin; tile < end; ++tile) {
+      const int first = tile * kTileColumns;
+      const int last = std::min(width, first + kTileColumns);
+      if (first >= last) continue;
+      PathBuffers buffers(last - first, labels);
+      AlongColumns(field, first, last, labels, buffers.paths(), sums.get());
     }
   });
 
@@ -140,7 +261,7 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
   ParallelFor(height, 8, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       for (int x = 0; x < width; ++x) {
-        const std::uint16_t* s = sums.data() + volume.offset(x, y);
+        const std::uint16_t* s = sums.get() + volume.offset(x, y);
         const LabelRange& range = volume.range(x, y);
         const int count = range.count;
         const auto best = static_cast<int>(std::find(s, s + count, LeastOf(s, count)) - s);
