@@ -567,7 +567,7 @@ class SessionProcessorImpl final : public SessionProcessor {
       const int width = options_.output_width != 0
                             ? options_.output_width
                             : std::min(measurer_->projection().width() / 2 * 2, 8192);
-      view.merged = MergeViews({&loaded->measurement, Pose{}, nullptr}, nullptr, nullptr, {},
+      view.merged = MergeViews({&loaded->measurement, Pose{}, nullptr}, nullptr, {},
                                Eigen::Quaterniond::Identity(), width, MergeOptions{});
     } else {
       view.merged = ViewOfMeasurement(loaded->measurement);

@@ -407,8 +407,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   const int width = options_.output_width != 0
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
-  view.merged =
-      MergeViews(reference, slot.fused.get(), &brightness, others, world_from_output, width, merge);
+  view.merged = MergeViews(reference, slot.fused.get(), others, world_from_output, width, merge);
   CalibrateConfidence(view.merged.disparity, &view.merged.confidence);
   const std::string exposure = DescribeExposureTest(view.merged.exposure, merge);
   if (!exposure.empty()) view.warnings.push_back(exposure);

@@ -1,110 +1,13 @@
 #include "core/stereo/merge_row.h"
 
-#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
-#include "core/base/parallel_for.h"
 #include "core/base/simd.h"
 
 namespace omnihdr {
 namespace {
-
-constexpr int kChunk = 64;  // points worked on at a time
-
-// Where the four pixels around each point lie, in pixels from the first one.
-struct Taps {
-  alignas(64) std::array<std::int32_t, kChunk> first;
-  alignas(64) std::array<std::int32_t, kChunk> right;  // from there
-  alignas(64) std::array<std::int32_t, kChunk> below;
-  alignas(64) std::array<std::int32_t, kChunk> around;
-  alignas(64) std::array<std::int32_t, kChunk> nearest;
-  alignas(64) std::array<std::int32_t, kChunk> inside;
-  alignas(64) std::array<float, kChunk> ax;
-  alignas(64) std::array<float, kChunk> ay;
-};
-
-OMNIHDR_ALWAYS_INLINE int Clamp(int value, int last) {
-  const int most = value < last ? value : last;
-  return most > 0 ? most : 0;
-}
-
-OMNIHDR_SIMD_CLONES
-void FindTaps(const float* __restrict x, const float* __restrict y, int count, int width,
-              int height, bool ends, Taps* __restrict taps) {
-  const auto bottom = static_cast<float>(height);
-  const float least_y = ends ? 0.0F : -1e9F;
-  const float most_y = ends ? bottom : 1e9F;
-  for (int k = 0; k < count; ++k) {
-    const auto i = static_cast<std::size_t>(k);
-    const int inside = static_cast<int>(y[k] >= least_y) & static_cast<int>(y[k] <= most_y);
-    const float py = inside != 0 ? y[k] : 0.0F;
-    const float fx = x[k] - 0.5F;
-    const float fy = py - 0.5F;
-    const float floor_x = std::floor(fx);
-    const float floor_y = std::floor(fy);
-    taps->ax[i] = fx - floor_x;
-    taps->ay[i] = fy - floor_y;
-    int x0 = static_cast<int>(floor_x);
-    x0 = x0 < 0 ? x0 + width : x0;
-    x0 = x0 >= width ? x0 - width : x0;
-    const int y_floor = static_cast<int>(floor_y);
-    const int y0 = Clamp(y_floor, height - 1);
-    const int y1 = Clamp(y_floor + 1, height - 1);
-    taps->first[i] = y0 * width + x0;
-    taps->right[i] = x0 + 1 == width ? 1 - width : 1;
-    taps->below[i] = (y1 - y0) * width;
-    taps->around[i] = Clamp(y_floor + 1, height) * width + x0;
-    taps->nearest[i] =
-        Clamp(static_cast<int>(py), height - 1) * width + Clamp(static_cast<int>(x[k]), width - 1);
-    taps->inside[i] = inside;
-  }
-}
-
-OMNIHDR_SIMD_CLONES
-void TakeApart(const float* __restrict rgba, int count, float* __restrict r, float* __restrict g,
-               float* __restrict b) {
-  for (int i = 0; i < count; ++i) {
-    r[i] = rgba[4 * i];
-    g[i] = rgba[4 * i + 1];
-    b[i] = rgba[4 * i + 2];
-  }
-}
-
-OMNIHDR_SIMD_CLONES
-void LuminanceRow(const float* __restrict rgba, int count, float* __restrict out) {
-  for (int i = 0; i < count; ++i) {
-    out[i] = 0.2126F * rgba[4 * i] + 0.7152F * rgba[4 * i + 1] + 0.0722F * rgba[4 * i + 2];
-  }
-}
-
-// `middle` has a value before the first and after the last.
-OMNIHDR_SIMD_CLONES
-void ContrastRow(const float* __restrict above, const float* __restrict middle,
-                 const float* __restrict below, int count, float* __restrict out) {
-  for (int i = 0; i < count; ++i) {
-    const float gx = middle[i + 1] - middle[i - 1];
-    const float gy = below[i] - above[i];
-    out[i] = 0.5F * std::sqrt(gx * gx + gy * gy);
-  }
-}
-
-// Of pixels and those right of them in two rows that are `width` long.
-OMNIHDR_SIMD_CLONES
-void AroundRow(const std::uint8_t* __restrict upper, const std::uint8_t* __restrict lower,
-               int width, std::uint16_t* __restrict out) {
-  for (int i = 0; i + 1 < width; ++i) {
-    const auto any = static_cast<std::uint8_t>(upper[i] | upper[i + 1] | lower[i] | lower[i + 1]);
-    const auto all = static_cast<std::uint8_t>(upper[i] & upper[i + 1] & lower[i] & lower[i + 1]);
-    const auto some = static_cast<std::uint16_t>((any ^ all) & (kSaturatedAny | kMasked));
-    out[i] = static_cast<std::uint16_t>(any | some << 8);
-  }
-  const int i = width - 1;
-  const auto any = static_cast<std::uint8_t>(upper[i] | upper[0] | lower[i] | lower[0]);
-  const auto all = static_cast<std::uint8_t>(upper[i] & upper[0] & lower[i] & lower[0]);
-  const auto some = static_cast<std::uint16_t>((any ^ all) & (kSaturatedAny | kMasked));
-  out[i] = static_cast<std::uint16_t>(any | some << 8);
-}
 
 // Whether a source sees each point, see SightOf.
 OMNIHDR_SIMD_CLONES
@@ -193,89 +96,87 @@ void AddWeighted(const float* __restrict radiance, const float* __restrict varia
 
 }  // namespace
 
-Image<float> ContrastOf(const Measurement& m) {
-  const int width = m.radiance.width();
-  const int height = m.radiance.height();
-  Image<float> contrast = Image<float>::Uninitialized(width, height);
-  ParallelFor(height, 32, [&](int begin, int end) {
-    const int first = std::max(0, begin - 1);
-    const int last = std::min(height, end + 1);
-    Image<float> luminance = Image<float>::Uninitialized(width + 2, last - first);
-    for (int y = first; y < last; ++y) {
-      float* row = luminance.row(y - first);
-      LuminanceRow(m.radiance.row(y), width, row + 1);
-      row[0] = row[width];
-      row[width + 1] = row[1];
-    }
-    for (int y = begin; y < end; ++y) {
-      ContrastRow(luminance.row(std::max(0, y - 1) - first) + 1, luminance.row(y - first) + 1,
-                  luminance.row(std::min(height - 1, y + 1) - first) + 1, width, contrast.row(y));
-    }
-  });
-  return contrast;
-}
+namespace {
 
-RowSampler::RowSampler(const Measurement& m)
-    : m_(&m),
-      is_cylinder_(m.projection.kind() == ProjectionKind::kCylindrical),
-      around_(Image<std::uint16_t>::Uninitialized(m.flags.width(), m.flags.height() + 1)),
-      contrast_(ContrastOf(m)) {
-  const int height = m.flags.height();
-  ParallelFor(height + 1, 32, [&](int begin, int end) {
-    for (int y = begin; y < end; ++y) {
-      AroundRow(m.flags.row(std::max(0, y - 1)), m.flags.row(std::min(height - 1, y)),
-                m.flags.width(), around_.row(y));
-    }
-  });
-}
+struct MapTaps {
+  const float* disparity;
+  const float* confidence;
+  int width;
+  int height;
+};
 
-void RowSampler::Sample(const PointRow& points, SampledRow* out) const {
-  const std::size_t count = points.x.size();
-  for (std::vector<float>& channel : out->radiance) channel.resize(count);
-  out->contrast.resize(count);
-  out->flags.resize(count);
-  const float* pixels = m_->radiance.data();
-  const std::uint8_t* flags = m_->flags.data();
-  const std::uint16_t* around = around_.data();
-  const float* contrast = contrast_.data();
-  Taps taps;
-  alignas(64) std::array<float, 4 * kChunk> rgba;
-  for (std::size_t from = 0; from < count; from += kChunk) {
-    const int chunk = static_cast<int>(std::min<std::size_t>(kChunk, count - from));
-    FindTaps(points.x.data() + from, points.y.data() + from, chunk, m_->radiance.width(),
-             m_->radiance.height(), is_cylinder_, &taps);
-    for (std::size_t i = 0; i < static_cast<std::size_t>(chunk); ++i) {
-      Eigen::Map<Eigen::Array4f, Eigen::Aligned16> sample(rgba.data() + 4 * i);
-      if (taps.inside[i] == 0) {
-        sample.setZero();
-        out->contrast[from + i] = 0.0F;
-        out->flags[from + i] = kMasked;
-        continue;
-      }
-      const auto at = [&](std::ptrdiff_t index) {
-        return Eigen::Map<const Eigen::Array4f, Eigen::Aligned16>(pixels + 4 * index);
-      };
-      const std::ptrdiff_t first = taps.first[i];
-      const std::uint16_t found = around[taps.around[i]];
-      out->contrast[from + i] = contrast[taps.nearest[i]];
-      if (found >> 8U != 0) {
-        // The rim of a clipped or masked area: a blend would be neither measured nor a bound.
-        const std::ptrdiff_t one = first + (taps.ax[i] < 0.5F ? 0 : taps.right[i]) +
-                                   (taps.ay[i] < 0.5F ? 0 : taps.below[i]);
-        sample = at(one);
-        out->flags[from + i] = flags[one];
-        continue;
-      }
-      const std::ptrdiff_t below = first + taps.below[i];
-      const float ax = taps.ax[i];
-      const float ay = taps.ay[i];
-      sample = (1.0F - ay) * ((1.0F - ax) * at(first) + ax * at(first + taps.right[i])) +
-               ay * ((1.0F - ax) * at(below) + ax * at(below + taps.right[i]));
-      out->flags[from + i] = static_cast<std::uint8_t>(found);
-    }
-    TakeApart(rgba.data(), chunk, out->radiance[0].data() + from, out->radiance[1].data() + from,
-              out->radiance[2].data() + from);
+OMNIHDR_SIMD_CLONES
+void LookUp(MapTaps map, const float* __restrict px, const float* __restrict py, int count,
+            float* __restrict disparity, float* __restrict confidence) {
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  for (int i = 0; i < count; ++i) {
+    const float fx = px[i] - 0.5F;
+    const float fy = py[i] - 0.5F;
+    const float left = std::floor(fx);
+    const float top = std::floor(fy);
+    const float ax = fx - left;
+    const float ay = fy - top;
+    int x0 = static_cast<int>(left);
+    int x1 = x0 + 1;
+    x0 = x0 < 0 ? x0 + map.width : x0;
+    x1 = x1 >= map.width ? x1 - map.width : x1;
+    const int y = static_cast<int>(top);
+    const int last = map.height - 1;
+    const int y0 = y < 0 ? 0 : (y < last ? y : last);
+    const int y1 = y + 1 < last ? y + 1 : last;
+    const int i00 = y0 * map.width + x0;
+    const int i10 = y0 * map.width + x1;
+    const int i01 = y1 * map.width + x0;
+    const int i11 = y1 * map.width + x1;
+    const float d00 = map.disparity[i00];
+    const float d10 = map.disparity[i10];
+    const float d01 = map.disparity[i01];
+    const float d11 = map.disparity[i11];
+    const auto weigh = [](float d, float w) {
+      const float least = w > 1e-3F ? w : 1e-3F;
+      return d >= 0.0F ? least : 0.0F;
+    };
+    const float w00 = weigh(d00, (1.0F - ax) * (1.0F - ay));
+    const float w10 = weigh(d10, ax * (1.0F - ay));
+    const float w01 = weigh(d01, (1.0F - ax) * ay);
+    const float w11 = weigh(d11, ax * ay);
+    float most = w00;
+    float centre = d00;
+    int heaviest = i00;
+    const auto compare = [&](float w, float d, int index) {
+      const bool more = w > most;
+      most = more ? w : most;
+      centre = more ? d : centre;
+      heaviest = more ? index : heaviest;
+    };
+    compare(w10, d10, i10);
+    compare(w01, d01, i01);
+    compare(w11, d11, i11);
+    const float near = 0.05F * centre + 0.002F;
+    float sum = 0.0F;
+    float weights = 0.0F;
+    const auto add = [&](float w, float d) {
+      const float counted = std::fabs(d - centre) <= near ? w : 0.0F;  // never, of NaN
+      sum += counted > 0.0F ? counted * d : 0.0F;
+      weights += counted;
+    };
+    add(w00, d00);
+    add(w10, d10);
+    add(w01, d01);
+    add(w11, d11);
+    const float c = map.confidence[heaviest];
+    disparity[i] = weights > 0.0F ? sum / weights : kNan;
+    confidence[i] = weights > 0.0F ? c : 0.0F;
   }
+}
+
+}  // namespace
+
+void LookUpDisparity(const DisparityMap& map, const PointRow& points, float* disparity,
+                     float* confidence) {
+  LookUp(
+      {map.disparity.data(), map.confidence.data(), map.disparity.width(), map.disparity.height()},
+      points.x.data(), points.y.data(), static_cast<int>(points.x.size()), disparity, confidence);
 }
 
 void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, int width,
@@ -283,7 +184,7 @@ void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, 
                   const MergeErrors& errors, SourceRow* row) {
   const auto count = static_cast<std::size_t>(width);
   const Measurement& m = *source.measurement;
-  sampler.Sample(row->seen.image, &row->sampled);
+  sampler.Sample(row->seen.image.x.data(), row->seen.image.y.data(), count, &row->sampled);
   row->sight.resize(count);
   if (source.nearest.empty()) {
     std::fill(row->sight.begin(), row->sight.end(), Sight::kVisible);

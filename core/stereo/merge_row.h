@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/image/image.h"
 #include "core/photometry/measurement.h"
+#include "core/photometry/row_sampler.h"
 #include "core/stereo/agreement_field.h"
 #include "core/stereo/merge_source.h"
 #include "core/stereo/row_geometry.h"
@@ -13,39 +13,13 @@
 namespace omnihdr {
 
 // A merge's arithmetic a row of output pixels at a time, one array a quantity, so that it is done
-// in vectors. Rows are values, one of each per thread; a RowSampler may be used from any thread.
+// in vectors. Rows are values, one of each per thread.
 
-// What a view holds along a row of points.
-struct SampledRow {
-  std::array<std::vector<float>, 3> radiance;
-  std::vector<float> contrast;  // change of luminance per pixel around the nearest pixel
-  std::vector<std::uint8_t> flags;
-  std::size_t size() const { return flags.size(); }
-};
-
-inline RadianceSample SampleOf(const SampledRow& row, std::size_t i) {
-  return {{row.radiance[0][i], row.radiance[1][i], row.radiance[2][i]}, row.flags[i]};
-}
-
-// PanoramaSampler::SampleAt and the local contrast, for rows. Borrowed: the measurement must
-// outlive it.
-class RowSampler {
- public:
-  explicit RowSampler(const Measurement& m);
-  void Sample(const PointRow& points, SampledRow* out) const;
-  const Image<float>& contrast() const { return contrast_; }
-
- private:
-  const Measurement* m_;
-  bool is_cylinder_;
-  // Of the four pixels around a point whose upper left one is (x, y - 1): bits that any has, and,
-  // from the ninth on, which of them not all have.
-  Image<std::uint16_t> around_;
-  Image<float> contrast_;
-};
-
-// Change of luminance per pixel: columns wrap round, rows end.
-Image<float> ContrastOf(const Measurement& m);
+// A map at points finer than its pixels: the four around, weighed by nearness, but never a mean of
+// two surfaces: only values close to the heaviest one take part. NaN where none is known.
+// `confidence`: the heaviest one's.
+void LookUpDisparity(const DisparityMap& map, const PointRow& points, float* disparity,
+                     float* confidence);
 
 // What another view says of a row of the output's surface points.
 struct SourceRow {

@@ -8,8 +8,7 @@
 #include "core/base/fast_math.h"
 #include "core/base/parallel_for.h"
 #include "core/base/simd.h"
-#include "core/photometry/sampler.h"
-#include "core/photometry/tonemap.h"
+#include "core/photometry/row_sampler.h"
 #include "core/stereo/row_geometry.h"
 
 namespace omnihdr {
@@ -23,11 +22,11 @@ constexpr float kGradientCodesPerLn = 60.0F;
 constexpr float kDarkNoiseFloors = 2.0F;
 constexpr std::uint64_t kNothing = 0x00FF00FF00FF00FFULL;  // every lane lo = 255, hi = 0
 
-// Texels before packing, rows × width of each: radiance, or its code on the log scale.
+// Texels before packing, rows × width of each: the lanes' bytes, and what the derivatives need.
 struct LaneSamples {
-  Image<float> red;
-  Image<float> blue;
-  Image<float> luminance;
+  Image<std::uint16_t> red;  // lo, then hi
+  Image<std::uint16_t> blue;
+  Image<float> luminance;  // its natural logarithm
   Image<std::uint8_t> flags;
 };
 
@@ -47,22 +46,65 @@ void ToLogarithms(float* __restrict red, float* __restrict blue, float* __restri
   }
 }
 
-std::uint64_t Byte(std::uint64_t value, int position) { return value << (8 * position); }
-
-std::uint64_t Interval(float code, bool saturated, bool dark, int position) {
-  const auto v = static_cast<std::uint64_t>(
-      std::clamp(code + 0.5F, static_cast<float>(kLowestCode), static_cast<float>(kHighestCode)));
-  return Byte(dark ? 0 : v, position) | Byte(saturated ? 255 : v, position + 1);
+// Channels that are dark but above `limit` are measured after all, if roughly.
+OMNIHDR_SIMD_CLONES
+void ForgiveDark(const float* __restrict radiance, int count, float limit, std::uint8_t bit,
+                 std::uint8_t* __restrict flags) {
+  for (int j = 0; j < count; ++j) {
+    const auto kept = static_cast<std::uint8_t>(~bit);
+    flags[j] = static_cast<std::uint8_t>(flags[j] & (radiance[j] >= limit ? kept : 255));
+  }
 }
 
-// `flags`: of both places; `change`: of the logarithm of luminance between them.
-std::uint64_t Gradient(std::uint8_t flags, float change, int position) {
-  if ((flags & (kMasked | kMover | kSaturatedAny | kDarkAny)) != 0) {
-    return Byte(0, position) | Byte(255, position + 1);
+OMNIHDR_SIMD_CLONES
+void LuminanceOf(const float* __restrict r, const float* __restrict g, const float* __restrict b,
+                 int count, float* __restrict out) {
+  for (int j = 0; j < count; ++j) out[j] = 0.2126F * r[j] + 0.7152F * g[j] + 0.0722F * b[j];
+}
+
+// The interval of each code.
+OMNIHDR_SIMD_CLONES
+void Intervals(const float* __restrict code, const std::uint8_t* __restrict flags, int count,
+               std::uint8_t saturated, std::uint8_t dark, std::uint16_t* __restrict out) {
+  constexpr auto kLow = static_cast<float>(kLowestCode);
+  constexpr auto kHigh = static_cast<float>(kHighestCode);
+  for (int j = 0; j < count; ++j) {
+    float rounded = code[j] + 0.5F;
+    rounded = rounded > kLow ? rounded : kLow;
+    rounded = rounded < kHigh ? rounded : kHigh;
+    const int value = static_cast<int>(rounded);
+    const int low = (flags[j] & dark) != 0 ? 0 : value;
+    const int high = (flags[j] & saturated) != 0 ? 255 : value;
+    out[j] = static_cast<std::uint16_t>(low | high << 8);
   }
-  const float code = 128.0F + kGradientCodesPerLn * 0.5F * change;
-  const auto v = static_cast<std::uint64_t>(std::clamp(code + 0.5F, 1.0F, 254.0F));
-  return Byte(v, position) | Byte(v, position + 1);
+}
+
+// The interval of each derivative between two places; their flags.
+OMNIHDR_SIMD_CLONES
+void Gradients(const float* __restrict before, const float* __restrict after,
+               const std::uint8_t* __restrict flags_before,
+               const std::uint8_t* __restrict flags_after, int count,
+               std::uint16_t* __restrict out) {
+  constexpr int kUnmeasured = kMasked | kMover | kSaturatedAny | kDarkAny;
+  for (int j = 0; j < count; ++j) {
+    float rounded = 128.5F + kGradientCodesPerLn * 0.5F * (after[j] - before[j]);
+    rounded = rounded > 1.0F ? rounded : 1.0F;
+    rounded = rounded < 254.0F ? rounded : 254.0F;
+    const int value = static_cast<int>(rounded);
+    const int flags = flags_before[j] | flags_after[j];
+    out[j] = static_cast<std::uint16_t>((flags & kUnmeasured) != 0 ? 255 << 8 : value | value << 8);
+  }
+}
+
+OMNIHDR_SIMD_CLONES
+void Pack(const std::uint16_t* __restrict red, const std::uint16_t* __restrict blue,
+          const std::uint16_t* __restrict across, const std::uint16_t* __restrict down,
+          const std::uint8_t* __restrict flags, int count, std::uint64_t* __restrict out) {
+  for (int j = 0; j < count; ++j) {
+    const std::uint64_t texel = std::uint64_t{red[j]} | std::uint64_t{blue[j]} << 16U |
+                                std::uint64_t{across[j]} << 32U | std::uint64_t{down[j]} << 48U;
+    out[j] = (flags[j] & (kMasked | kMover)) != 0 ? kNothing : texel;
+  }
 }
 
 // Mean of the eight bytes of two texels, each rounded down.
@@ -169,8 +211,7 @@ StereoView MakeStereoView(const Measurement& measurement,
   view.width = width;
   view.height = width / 2;
   const int rows = view.height + 1;
-  view.texels.assign(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width + 1),
-                     kNothing);
+  view.texels.resize(static_cast<std::size_t>(rows) * static_cast<std::size_t>(width + 1));
 
   const Eigen::Matrix3f camera_from_world =
       world_from_camera.conjugate().toRotationMatrix().cast<float>();
@@ -182,15 +223,18 @@ StereoView MakeStereoView(const Measurement& measurement,
     cos_sin[static_cast<std::size_t>(j)] = {static_cast<float>(std::cos(theta)),
                                             static_cast<float>(std::sin(theta))};
   }
-  LaneSamples samples = {
-      Image<float>::Uninitialized(width, rows), Image<float>::Uninitialized(width, rows),
-      Image<float>::Uninitialized(width, rows), Image<std::uint8_t>::Uninitialized(width, rows)};
+  LaneSamples samples = {Image<std::uint16_t>::Uninitialized(width, rows),
+                         Image<std::uint16_t>::Uninitialized(width, rows),
+                         Image<float>::Uninitialized(width, rows),
+                         Image<std::uint8_t>::Uninitialized(width, rows)};
+  const RowSampler row_sampler(measurement, RowSampler::Contrast::kNone);
   ParallelFor(rows, 8, [&](int begin, int end) {
     RayRow rays;
     rays.x.resize(static_cast<std::size_t>(width));
     rays.y.resize(static_cast<std::size_t>(width));
     rays.z.resize(static_cast<std::size_t>(width));
     PointRow points;
+    SampledRow row;
     for (int i = begin; i < end; ++i) {
       const double phi = std::numbers::pi * i / view.height;
       const auto sin_phi = static_cast<float>(std::sin(phi));
@@ -201,53 +245,50 @@ StereoView MakeStereoView(const Measurement& measurement,
         rays.z[j] = cos_phi;
       }
       PointsInView(rays, camera_from_world, sampler, &points);
-      float* red = samples.red.row(i);
-      float* blue = samples.blue.row(i);
-      float* luminance = samples.luminance.row(i);
-      std::uint8_t* flags = samples.flags.row(i);
-      for (std::size_t j = 0; j < cos_sin.size(); ++j) {
-        const RadianceSample sample = sampler.SampleAt(points.x[j], points.y[j]);
-        flags[j] = sample.flags;
-        for (std::size_t k = 0; k < 3; ++k) {
-          if (sample.rgb[k] >= dark_limit) {
-            flags[j] = static_cast<std::uint8_t>(flags[j] & ~(kDarkR << k));
-          }
-        }
-        red[j] = sample.rgb[0];
-        blue[j] = sample.rgb[2];
-        luminance[j] = Luminance(sample.rgb.data());
+      row_sampler.Sample(points.x.data(), points.y.data(), cos_sin.size(), &row);
+      for (std::size_t c = 0; c < 3; ++c) {
+        ForgiveDark(row.radiance[c].data(), width, dark_limit,
+                    static_cast<std::uint8_t>(kDarkR << c), row.flags.data());
       }
-      ToLogarithms(red, blue, luminance, width, scale.floor, scale.ln_black, scale.codes_per_ln);
+      float* luminance = samples.luminance.row(i);
+      LuminanceOf(row.radiance[0].data(), row.radiance[1].data(), row.radiance[2].data(), width,
+                  luminance);
+      ToLogarithms(row.radiance[0].data(), row.radiance[2].data(), luminance, width, scale.floor,
+                   scale.ln_black, scale.codes_per_ln);
+      Intervals(row.radiance[0].data(), row.flags.data(), width, kSaturatedR, kDarkR,
+                samples.red.row(i));
+      Intervals(row.radiance[2].data(), row.flags.data(), width, kSaturatedB, kDarkB,
+                samples.blue.row(i));
+      std::copy(row.flags.begin(), row.flags.end(), samples.flags.row(i));
     }
   });
 
   constexpr int kStep =
       2;  // derivative over one pixel of a map of half the lattice's size each side
   ParallelFor(rows, 8, [&](int begin, int end) {
+    const auto texels = static_cast<std::size_t>(width);
+    std::vector<std::uint16_t> across(texels);
+    std::vector<std::uint16_t> down(texels);
+    // With the last ones before the first and the first after the last.
+    std::vector<float> luminance(texels + 2 * kStep);
+    std::vector<std::uint8_t> flags(texels + 2 * kStep);
+    const auto wrap = [&](const auto* row, auto* wrapped) {
+      std::copy_n(row, width, wrapped->begin() + kStep);
+      std::copy_n(row + width - kStep, kStep, wrapped->begin());
+      std::copy_n(row, kStep, wrapped->end() - kStep);
+    };
     for (int i = begin; i < end; ++i) {
-      std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
       const int above = std::max(0, i - kStep);
       const int below = std::min(view.height, i + kStep);
-      const float* red = samples.red.row(i);
-      const float* blue = samples.blue.row(i);
-      const float* luminance = samples.luminance.row(i);
-      const float* luminance_above = samples.luminance.row(above);
-      const float* luminance_below = samples.luminance.row(below);
-      const std::uint8_t* flags = samples.flags.row(i);
-      const std::uint8_t* flags_above = samples.flags.row(above);
-      const std::uint8_t* flags_below = samples.flags.row(below);
-      for (int j = 0; j < width; ++j) {
-        const std::uint8_t f = flags[j];
-        if ((f & (kMasked | kMover)) != 0) continue;
-        const int left = j >= kStep ? j - kStep : j - kStep + width;
-        const int right = j + kStep < width ? j + kStep : j + kStep - width;
-        out[j] = Interval(red[j], (f & kSaturatedR) != 0, (f & kDarkR) != 0, 0) |
-                 Interval(blue[j], (f & kSaturatedB) != 0, (f & kDarkB) != 0, 2) |
-                 Gradient(static_cast<std::uint8_t>(flags[left] | flags[right]),
-                          luminance[right] - luminance[left], 4) |
-                 Gradient(static_cast<std::uint8_t>(flags_above[j] | flags_below[j]),
-                          luminance_below[j] - luminance_above[j], 6);
-      }
+      wrap(samples.luminance.row(i), &luminance);
+      wrap(samples.flags.row(i), &flags);
+      Gradients(luminance.data(), luminance.data() + 2 * kStep, flags.data(),
+                flags.data() + 2 * kStep, width, across.data());
+      Gradients(samples.luminance.row(above), samples.luminance.row(below),
+                samples.flags.row(above), samples.flags.row(below), width, down.data());
+      std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
+      Pack(samples.red.row(i), samples.blue.row(i), across.data(), down.data(),
+           samples.flags.row(i), width, out);
       out[width] = out[0];
     }
   });

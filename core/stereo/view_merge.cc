@@ -267,7 +267,6 @@ std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& o
 }
 
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
-                      const Image<std::uint8_t>* map_brightness,
                       const std::vector<MergeSource>& others,
                       const Eigen::Quaterniond& world_from_output, int width,
                       const MergeOptions& options) {
@@ -299,8 +298,6 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       }
     }
   });
-  std::unique_ptr<DisparityLookup> disparity;
-  if (map != nullptr) disparity = std::make_unique<DisparityLookup>(*map, *map_brightness);
   const LatLongGrid map_grid(map != nullptr ? map->disparity.width() : 2,
                              map != nullptr ? map->disparity.height() : 1);
 
@@ -340,13 +337,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const bool counts = (mine.flags & (kMasked | kMover | kSaturatedAny)) == 0;
         own_luminance.at(static_cast<int>(i), row) = counts ? Luminance(mine.rgb.data()) : 0.0F;
       }
-      if (disparity == nullptr) continue;
+      if (map == nullptr) continue;
       PointsOnGrid(rays, map_grid, &points);
-      for (std::size_t i = 0; i < rays.size(); ++i) {
-        const DisparityLookup::Value d = disparity->At(points.x[i], points.y[i], -1.0F);
-        own_disparity.at(static_cast<int>(i), row) = d.disparity;
-        own_confidence.at(static_cast<int>(i), row) = d.confidence;
-      }
+      LookUpDisparity(*map, points, own_disparity.row(row), own_confidence.row(row));
     }
   });
 
@@ -375,9 +368,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const int x = static_cast<int>(i) * kStep + kStep / 2;
           const float mine_y = own_luminance.at(static_cast<int>(i), row);
           if (!(mine_y > 0.0F)) continue;
-          const DisparityLookup::Value d = {disparities[i],
-                                            own_confidence.at(static_cast<int>(i), row)};
-          if (SightOf(source, seen, i, d.disparity, occlusion_tolerance) != Sight::kVisible) {
+          if (SightOf(source, seen, i, disparities[i], occlusion_tolerance) != Sight::kVisible) {
             continue;
           }
           const float px = seen.image.x[i];
@@ -395,7 +386,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           block.theirs += theirs_y;
           block.noise += noise;
           block.count += 1.0F;
-          if (disparity != nullptr && d.confidence < kTrustedScore) continue;
+          if (map != nullptr && own_confidence.at(static_cast<int>(i), row) < kTrustedScore)
+            continue;
           if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
@@ -444,10 +436,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
          .misalignment_px = options.misalignment_px});
   }
 
-  const RowSampler own_rows(own);
+  const RowSampler own_rows(own, RowSampler::Contrast::kNone);
   std::vector<RowSampler> source_rows;
   source_rows.reserve(sources.size());
-  for (const SourceLookup& source : sources) source_rows.emplace_back(*source.measurement);
+  for (const SourceLookup& source : sources) {
+    source_rows.emplace_back(*source.measurement, RowSampler::Contrast::kSampled);
+  }
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 8, [&](int begin, int end) {
     MergeSamples samples;
@@ -463,31 +457,30 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     for (int y = begin; y < end; ++y) {
       RaysOfRow(output, y, 0, 1, world_from_output_matrix, &rays);
       PointsInView(rays, own_from_world, own_sampler, &own_points);
-      if (disparity != nullptr) {
+      if (map != nullptr) {
         PointsOnGrid(rays, map_grid, &map_points);
-        for (std::size_t i = 0; i < rays.size(); ++i) {
-          const int x = static_cast<int>(i);
-          const DisparityLookup::Value d = disparity->At(map_points.x[i], map_points.y[i], -1.0F);
-          view.disparity.at(x, y) = d.disparity;
-          view.confidence.at(x, y) = d.confidence;
+        float* disparities = view.disparity.row(y);
+        LookUpDisparity(*map, map_points, disparities, view.confidence.row(y));
+        for (int x = 0; x < width && !movers.inside.empty(); ++x) {
           if (movers.Has(x / kMoverStep, y / kMoverStep)) {
-            view.disparity.at(x, y) = movers.disparity.at(x / kMoverStep, y / kMoverStep);
+            disparities[x] = movers.disparity.at(x / kMoverStep, y / kMoverStep);
           }
-          const float known = view.disparity.at(x, y);
-          known_disparity[i] = known >= 0.0F ? known : 0.0F;
+        }
+        for (std::size_t i = 0; i < known_disparity.size(); ++i) {
+          known_disparity[i] = disparities[i] >= 0.0F ? disparities[i] : 0.0F;
         }
       }
       for (std::size_t n = 0; n < sources.size(); ++n) {
         SurfacePointsInView(rays, known_disparity, sources[n].offset, sources[n].camera_from_world,
                             *sources[n].sampler, map_grid, &rows[n].seen);
       }
-      own_rows.Sample(own_points, &mine_row);
+      own_rows.Sample(own_points.x.data(), own_points.y.data(), own_points.x.size(), &mine_row);
       const float* confidences = view.confidence.row(y);
       const float* disparities = view.disparity.row(y);
       for (std::size_t i = 0; i < misregistration.size(); ++i) {
         misregistration[i] =
             options.misalignment_px +
-            (1.0F - (disparity == nullptr ? 0.5F : confidences[i])) * options.distrusted_px;
+            (1.0F - (map == nullptr ? 0.5F : confidences[i])) * options.distrusted_px;
       }
       plain.Start(own, mine_row);
       for (std::size_t n = 0; n < sources.size(); ++n) {
@@ -523,7 +516,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         // Where this view saw nothing, its disparity is a guess unless others agreed on it: better
         // no data than other views' pixels strewn about.
         const bool is_guess =
-            (mine.flags & kMasked) != 0 && disparity != nullptr && confidences[i] < kTrustedScore;
+            (mine.flags & kMasked) != 0 && map != nullptr && confidences[i] < kTrustedScore;
         const bool asks_others = !is_guess && (!is_marked || by_mover);
         for (std::size_t n = 0; n < sources.size() && asks_others; ++n) {
           const SourceLookup& source = sources[n];

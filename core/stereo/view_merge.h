@@ -92,7 +92,6 @@ std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& o
 // disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone, disparity
 // unknown.
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
-                      const Image<std::uint8_t>* map_brightness,
                       const std::vector<MergeSource>& others,
                       const Eigen::Quaterniond& world_from_output, int width,
                       const MergeOptions& options);

@@ -226,9 +226,8 @@ Status RunBaseline(const Benches& benches, const std::filesystem::path& out, Sec
     std::array<Image<float>, 2> disparities;
     for (std::size_t k = 0; k < 2; ++k) {
       const DisparityMap map = MatchWith(frames, own, from[k], sweep, brightness, options);
-      MergedView view =
-          MergeViews({&reference.measurement, reference.pose, nullptr}, &map, &brightness, others,
-                     reference.pose.rotation, bench.matrix().output_width(), merge);
+      MergedView view = MergeViews({&reference.measurement, reference.pose, nullptr}, &map, others,
+                                   reference.pose.rotation, bench.matrix().output_width(), merge);
       BaselineRow result;
       OMNIHDR_ASSIGN(result.score, bench.Score(i, bracket, view));
       if (is_metric) {

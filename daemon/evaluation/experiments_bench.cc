@@ -21,8 +21,8 @@ bool HasValue(const MergedView& view, int x, int y) {
 MergedView AloneOf(const Measurement& measurement, int width) {
   MergeOptions merge;
   merge.refine_exposure = false;
-  return MergeViews({&measurement, Pose{}, nullptr}, nullptr, nullptr, {},
-                    Eigen::Quaterniond::Identity(), width, merge);
+  return MergeViews({&measurement, Pose{}, nullptr}, nullptr, {}, Eigen::Quaterniond::Identity(),
+                    width, merge);
 }
 
 }  // namespace

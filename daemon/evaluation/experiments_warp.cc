@@ -164,8 +164,8 @@ Measurement WarpBackward(const WarpSource& source, const Image<float>& target_di
 MergedView ViewOf(const Measurement& warped) {
   MergeOptions merge;
   merge.refine_exposure = false;
-  return MergeViews({&warped, Pose{}, nullptr}, nullptr, nullptr, {},
-                    Eigen::Quaterniond::Identity(), warped.radiance.width(), merge);
+  return MergeViews({&warped, Pose{}, nullptr}, nullptr, {}, Eigen::Quaterniond::Identity(),
+                    warped.radiance.width(), merge);
 }
 
 // The own frame and pictures already brought to its place, merged there.
@@ -180,8 +180,8 @@ MergedView MergeInPlace(const Measurement& own, const std::vector<Measurement>& 
   }
   std::vector<MergeSource> others;
   for (const Measurement& each : warped) others.push_back({&each, Pose{}, nullptr});
-  return MergeViews({&own, Pose{}, nullptr}, nullptr, nullptr, others,
-                    Eigen::Quaterniond::Identity(), own.radiance.width(), merge);
+  return MergeViews({&own, Pose{}, nullptr}, nullptr, others, Eigen::Quaterniond::Identity(),
+                    own.radiance.width(), merge);
 }
 
 // Share of what the target's camera sees that a warped picture leaves without a value.

@@ -143,8 +143,8 @@ Status WriteRivalViews(const std::filesystem::path& session, Rival rival,
       Measured measured;
       OMNIHDR_ASSIGN(measured.measurement, MeasurePlace(session, near, measurer));
       if (rival == Rival::kUnregistered) {
-        measured.alone = MergeViews({&measured.measurement, near.pose, nullptr}, nullptr, nullptr,
-                                    {}, aligned, width, MergeOptions{});
+        measured.alone = MergeViews({&measured.measurement, near.pose, nullptr}, nullptr, {},
+                                    aligned, width, MergeOptions{});
       }
       window.emplace(n, std::move(measured));
     }
@@ -170,13 +170,9 @@ Status WriteRivalViews(const std::filesystem::path& session, Rival rival,
     }
     if (rival == Rival::kOracle) {
       OMNIHDR_ASSIGN(const DisparityMap map, TrueMap(place, *reference, width));
-      const Measurement& m = here.measurement;
-      const float brightest = *std::max_element(m.saturation.begin(), m.saturation.end());
-      const Image<std::uint8_t> brightness = MapBrightness(MakeStereoView(
-          m, place.pose.rotation, 2 * width, LogScale::For(m.noise_floor, brightest)));
       MergeOptions merge;
       merge.refine_exposure = false;
-      view.merged = MergeViews(own, &map, &brightness, others, aligned, width, merge);
+      view.merged = MergeViews(own, &map, others, aligned, width, merge);
     } else {
       view.merged = AverageAlongDirections(alone);
     }

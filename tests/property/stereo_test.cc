@@ -77,9 +77,8 @@ RC_GTEST_PROP(MergeLaw, RadianceIsANumberAndAbsentOnlyWhereNothingSawIt, ()) {
     for (MergeSource& s : sources) s.world_from_camera.translation.setZero();
   }
   const DisparityMap map = AnyMap(true);
-  const Image<std::uint8_t> brightness(kWidth, kHeight, 1, std::uint8_t{100});
   const MergedView view =
-      MergeViews(sources.front(), by_rotation ? nullptr : &map, by_rotation ? nullptr : &brightness,
+      MergeViews(sources.front(), by_rotation ? nullptr : &map,
                  {sources.begin() + 1, sources.end()}, testing::AnyPose().rotation, 2 * kWidth, {});
   RC_ASSERT(view.radiance.width() == 2 * kWidth);
   for (int y = 0; y < view.radiance.height(); ++y) {

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <limits>
 #include <string>
@@ -48,6 +49,24 @@ class ViewFiles : public ::testing::Test {
 
   testing::TemporaryDirectory directory_;
 };
+
+TEST_F(ViewFiles, DisparityIsRoundedToWhatItIsWorth) {
+  FinishedView view = PlainView(2.0F);
+  for (int x = 0; x < 16; ++x) {
+    view.merged.disparity.at(x, 2) = 0.3F * static_cast<float>(x) / 7.0F;
+    view.merged.confidence.at(x, 2) = static_cast<float>(x) / 15.0F;
+  }
+  view.merged.disparity.at(5, 3) = std::numeric_limits<float>::quiet_NaN();
+  const ExrImage image = Written(view, PlainContext(), "disparity.exr");
+  const Image<float>& disparity = image.channels.at("disparity");
+  for (int x = 0; x < 16; ++x) {
+    const float expected = view.merged.disparity.at(x, 2);
+    EXPECT_NEAR(disparity.at(x, 2), expected, 1.3e-4F * expected);
+    EXPECT_NEAR(image.channels.at("confidence").at(x, 2), view.merged.confidence.at(x, 2), 0.0021F);
+  }
+  EXPECT_EQ(disparity.at(0, 2), 0.0F);
+  EXPECT_TRUE(std::isnan(disparity.at(5, 3)));
+}
 
 TEST_F(ViewFiles, RadianceSaysWhatOtherProgramsLookFor) {
   ViewContext context = PlainContext();

@@ -3,75 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <limits>
 #include <random>
+#include <vector>
 
 namespace omnihdr::merge_row_test {
 namespace {
-
-// Noise with clipped, dark and masked areas, so that every rim occurs.
-Measurement Random(const Projection& projection, int width, int height) {
-  std::mt19937 random(5);
-  std::uniform_real_distribution<float> radiance(0.01F, 2.0F);
-  Measurement m;
-  m.projection = projection;
-  m.radiance = Image<float>(width, height, 4);
-  m.flags = Image<std::uint8_t>(width, height);
-  m.saturation = {1.5F, 1.5F, 1.5F};
-  m.variance_floor = {1e-4F, 1e-4F, 1e-4F};
-  m.variance_per_radiance = {1e-3F, 1e-3F, 1e-3F};
-  for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) {
-      for (int c = 0; c < 3; ++c) m.radiance.pixel(x, y)[c] = radiance(random);
-      const int area = (x / 5 + y / 4) % 6;
-      if (area == 1) m.flags.at(x, y) = kSaturatedR | kSaturatedB;
-      if (area == 2) m.flags.at(x, y) = kDarkG;
-      if (area == 4) m.flags.at(x, y) = kMasked;
-    }
-  }
-  return m;
-}
-
-// Points all over, at the borders and a little beyond the upper and the lower one.
-PointRow Points(int width, int height) {
-  std::mt19937 random(6);
-  std::uniform_real_distribution<float> x(0.0F, static_cast<float>(width));
-  std::uniform_real_distribution<float> y(-1.0F, static_cast<float>(height) + 1.0F);
-  PointRow points;
-  for (int k = 0; k < 3001; ++k) {
-    points.x.push_back(k % 97 == 0 ? 0.0F : (k % 89 == 0 ? static_cast<float>(width) : x(random)));
-    points.y.push_back(y(random));
-  }
-  return points;
-}
-
-void ExpectAsOneByOne(const Measurement& m, float least_y, float most_y) {
-  const PanoramaSampler single(m);
-  const RowSampler rows(m);
-  PointRow points = Points(m.radiance.width(), m.radiance.height());
-  for (float& y : points.y) y = std::clamp(y, least_y, most_y);
-  SampledRow sampled;
-  rows.Sample(points, &sampled);
-  ASSERT_EQ(sampled.size(), points.x.size());
-  for (std::size_t i = 0; i < sampled.size(); ++i) {
-    const RadianceSample expected = single.SampleAt(points.x[i], points.y[i]);
-    ASSERT_EQ(sampled.flags[i], expected.flags) << points.x[i] << ", " << points.y[i];
-    for (std::size_t c = 0; c < 3; ++c) {
-      ASSERT_NEAR(sampled.radiance[c][i], expected.rgb[c], 1e-5F)
-          << points.x[i] << ", " << points.y[i];
-    }
-    if (expected.flags == kMasked) continue;
-    ASSERT_NEAR(sampled.contrast[i], LocalContrast(m, points.x[i], points.y[i]), 1e-5F)
-        << points.x[i] << ", " << points.y[i];
-  }
-}
-
-TEST(RowSampler, SamplesALatLongAsOneByOne) {
-  ExpectAsOneByOne(Random(Projection::Equirectangular(64, 32), 64, 32), 0.0F, 32.0F);
-}
-
-TEST(RowSampler, SamplesACylinderAsOneByOneAndNothingBeyondItsEnds) {
-  ExpectAsOneByOne(Random(Projection::Cylindrical(64, 40, -1.0, 1.0), 64, 40), -1.0F, 41.0F);
-}
 
 TEST(AgreementField, FactorsOfARowAreThoseOfItsPoints) {
   std::mt19937 random(7);
@@ -94,6 +31,47 @@ TEST(AgreementField, FactorsOfARowAreThoseOfItsPoints) {
                   field.Factor((static_cast<float>(k) + 0.5F) * kStep, y), 1e-5F);
     }
   }
+}
+
+TEST(LookUpDisparity, NeverMixesTwoSurfaces) {
+  DisparityMap map;
+  map.disparity = Image<float>(8, 4, 1, 0.1F);
+  map.confidence = Image<float>(8, 4, 1, 0.25F);
+  for (int y = 0; y < 4; ++y) {
+    map.disparity.at(3, y) = 0.8F;
+    map.confidence.at(3, y) = 0.75F;
+  }
+  PointRow points;
+  for (int k = 0; k < 80; ++k) {
+    points.x.push_back(0.1F * static_cast<float>(k) + 0.04F);
+    points.y.push_back(2.0F);
+  }
+  std::vector<float> disparity(points.x.size());
+  std::vector<float> confidence(points.x.size());
+  LookUpDisparity(map, points, disparity.data(), confidence.data());
+  for (std::size_t i = 0; i < disparity.size(); ++i) {
+    const bool is_near = points.x[i] > 3.0F && points.x[i] < 4.0F;
+    EXPECT_FLOAT_EQ(disparity[i], is_near ? 0.8F : 0.1F) << points.x[i];
+    EXPECT_FLOAT_EQ(confidence[i], is_near ? 0.75F : 0.25F) << points.x[i];
+  }
+}
+
+TEST(LookUpDisparity, TakesWhatIsKnownAndGoesOnRoundTheGlobe) {
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  DisparityMap map;
+  map.disparity = Image<float>(8, 4, 1, kNan);
+  map.confidence = Image<float>(8, 4, 1, 1.0F);
+  map.disparity.at(0, 1) = 0.30F;
+  map.disparity.at(7, 1) = 0.31F;
+  const PointRow points = {{0.0F, 8.0F, 0.9F, 4.0F}, {1.5F, 1.5F, 1.5F, 1.5F}};
+  std::vector<float> disparity(4);
+  std::vector<float> confidence(4);
+  LookUpDisparity(map, points, disparity.data(), confidence.data());
+  EXPECT_NEAR(disparity[0], 0.305F, 1e-5F);
+  EXPECT_NEAR(disparity[1], 0.305F, 1e-5F);
+  EXPECT_FLOAT_EQ(disparity[2], 0.30F);
+  EXPECT_TRUE(std::isnan(disparity[3]));
+  EXPECT_EQ(confidence[3], 0.0F);
 }
 
 }  // namespace

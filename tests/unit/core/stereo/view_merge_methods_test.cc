@@ -32,7 +32,7 @@ MergeOptions Plain(MergeWeights weights) {
 
 MergedView MergeAtOnePlace(const Measurement& own, const Measurement& other,
                            const MergeOptions& options) {
-  return MergeViews({&own, Pose{}, nullptr}, nullptr, nullptr, {{&other, Pose{}, nullptr}},
+  return MergeViews({&own, Pose{}, nullptr}, nullptr, {{&other, Pose{}, nullptr}},
                     Eigen::Quaterniond::Identity(), kWidth, options);
 }
 
@@ -71,7 +71,6 @@ double ShareOfShorterBound(float confidence, float others_saturation) {
   for (int y = 1; y < kHeight; y += 3) {
     for (int x = y % 4; x < kWidth; x += 4) map.disparity.at(x, y) = 0.8F;
   }
-  const Image<std::uint8_t> brightness(kWidth, kHeight, 1, 254);
   const auto clipped = [](float saturation) {
     Measurement m = Even(saturation, saturation);
     std::fill(m.flags.values().begin(), m.flags.values().end(), kSaturatedAny);
@@ -81,9 +80,8 @@ double ShareOfShorterBound(float confidence, float others_saturation) {
   const Measurement other = clipped(others_saturation);
   Pose there;
   there.translation = {0.3, 0.0, 0.0};
-  const MergedView view =
-      MergeViews({&own, Pose{}, nullptr}, &map, &brightness, {{&other, there, nullptr}},
-                 Eigen::Quaterniond::Identity(), kWidth, MergeOptions{});
+  const MergedView view = MergeViews({&own, Pose{}, nullptr}, &map, {{&other, there, nullptr}},
+                                     Eigen::Quaterniond::Identity(), kWidth, MergeOptions{});
   int count = 0;
   for (int y = 0; y < kHeight; ++y) {
     for (int x = 0; x < kWidth; ++x) {
@@ -108,7 +106,6 @@ TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
   for (int y = 16; y < 48; ++y) {
     for (int x = 28; x < 36; ++x) map.disparity.at(x, y) = 0.8F;
   }
-  const Image<std::uint8_t> brightness(kWidth, kHeight, 1, 100);
   const Measurement own = Even(0.2F, 1.0F);
   const Measurement other = Even(0.6F, 1.0F);
   Pose there;
@@ -116,9 +113,8 @@ TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
   const auto untouched = [&](bool occlusion) {
     MergeOptions options = Plain(MergeWeights::kHat);
     options.occlusion = occlusion;
-    const MergedView view =
-        MergeViews({&own, Pose{}, nullptr}, &map, &brightness, {{&other, there, nullptr}},
-                   Eigen::Quaterniond::Identity(), kWidth, options);
+    const MergedView view = MergeViews({&own, Pose{}, nullptr}, &map, {{&other, there, nullptr}},
+                                       Eigen::Quaterniond::Identity(), kWidth, options);
     int count = 0;
     for (int y = 0; y < kHeight; ++y) {
       for (int x = 0; x < kWidth; ++x) {

@@ -52,7 +52,6 @@ struct Merger {
   std::vector<Measurement> measurements;
   DisparityMap map;  // of the still scene
   std::vector<DisparityMap> matched;
-  Image<std::uint8_t> brightness{testing::kMapWidth, testing::kMapWidth / 2, 1, 100};
 
   Merger(const Drive& of, const std::vector<double>& seconds)
       : drive(of), map(of.TrueDisparity(kCentre)) {
@@ -72,8 +71,8 @@ struct Merger {
     for (const std::size_t n : kNeighbours) {
       sources.push_back({&measurements[n], drive.poses[n], nullptr, &matched[n]});
     }
-    return MergeViews({&measurements[kCentre], drive.poses[kCentre], nullptr}, &map, &brightness,
-                      sources, Eigen::Quaterniond::Identity(), kWidth, options);
+    return MergeViews({&measurements[kCentre], drive.poses[kCentre], nullptr}, &map, sources,
+                      Eigen::Quaterniond::Identity(), kWidth, options);
   }
 };
 

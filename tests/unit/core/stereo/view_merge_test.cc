@@ -70,7 +70,6 @@ struct Setting {
   const Drive* drive = nullptr;
   std::vector<Measurement> measurements;
   DisparityMap map;
-  Image<std::uint8_t> brightness{testing::kMapWidth, testing::kMapWidth / 2, 1, 100};
 
   MergedView Merge(const std::vector<std::size_t>& others, int width = kWidth,
                    const Eigen::Quaterniond& world_from_output = Eigen::Quaterniond::Identity(),
@@ -80,8 +79,7 @@ struct Setting {
     for (const std::size_t n : others) {
       sources.push_back({&measurements[n], drive->poses[n], nullptr});
     }
-    return MergeViews(reference, with_map ? &map : nullptr, with_map ? &brightness : nullptr,
-                      sources, world_from_output, width, {});
+    return MergeViews(reference, with_map ? &map : nullptr, sources, world_from_output, width, {});
   }
 };
 
