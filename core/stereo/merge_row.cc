@@ -98,15 +98,9 @@ void AddWeighted(const float* __restrict radiance, const float* __restrict varia
 
 namespace {
 
-struct MapTaps {
-  const float* disparity;
-  const float* confidence;
-  int width;
-  int height;
-};
-
 OMNIHDR_SIMD_CLONES
-void LookUp(MapTaps map, const float* __restrict px, const float* __restrict py, int count,
+void LookUp(const float* __restrict map, const float* __restrict map_confidence, int width,
+            int height, const float* __restrict px, const float* __restrict py, int count,
             float* __restrict disparity, float* __restrict confidence) {
   constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
   for (int i = 0; i < count; ++i) {
@@ -118,20 +112,20 @@ void LookUp(MapTaps map, const float* __restrict px, const float* __restrict py,
     const float ay = fy - top;
     int x0 = static_cast<int>(left);
     int x1 = x0 + 1;
-    x0 = x0 < 0 ? x0 + map.width : x0;
-    x1 = x1 >= map.width ? x1 - map.width : x1;
+    x0 = x0 < 0 ? x0 + width : x0;
+    x1 = x1 >= width ? x1 - width : x1;
     const int y = static_cast<int>(top);
-    const int last = map.height - 1;
+    const int last = height - 1;
     const int y0 = y < 0 ? 0 : (y < last ? y : last);
     const int y1 = y + 1 < last ? y + 1 : last;
-    const int i00 = y0 * map.width + x0;
-    const int i10 = y0 * map.width + x1;
-    const int i01 = y1 * map.width + x0;
-    const int i11 = y1 * map.width + x1;
-    const float d00 = map.disparity[i00];
-    const float d10 = map.disparity[i10];
-    const float d01 = map.disparity[i01];
-    const float d11 = map.disparity[i11];
+    const int i00 = y0 * width + x0;
+    const int i10 = y0 * width + x1;
+    const int i01 = y1 * width + x0;
+    const int i11 = y1 * width + x1;
+    const float d00 = map[i00];
+    const float d10 = map[i10];
+    const float d01 = map[i01];
+    const float d11 = map[i11];
     const auto weigh = [](float d, float w) {
       const float least = w > 1e-3F ? w : 1e-3F;
       return d >= 0.0F ? least : 0.0F;
@@ -164,7 +158,7 @@ void LookUp(MapTaps map, const float* __restrict px, const float* __restrict py,
     add(w10, d10);
     add(w01, d01);
     add(w11, d11);
-    const float c = map.confidence[heaviest];
+    const float c = map_confidence[heaviest];
     disparity[i] = weights > 0.0F ? sum / weights : kNan;
     confidence[i] = weights > 0.0F ? c : 0.0F;
   }
@@ -174,9 +168,9 @@ void LookUp(MapTaps map, const float* __restrict px, const float* __restrict py,
 
 void LookUpDisparity(const DisparityMap& map, const PointRow& points, float* disparity,
                      float* confidence) {
-  LookUp(
-      {map.disparity.data(), map.confidence.data(), map.disparity.width(), map.disparity.height()},
-      points.x.data(), points.y.data(), static_cast<int>(points.x.size()), disparity, confidence);
+  LookUp(map.disparity.data(), map.confidence.data(), map.disparity.width(),
+         map.disparity.height(), points.x.data(), points.y.data(),
+         static_cast<int>(points.x.size()), disparity, confidence);
 }
 
 void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, int width,

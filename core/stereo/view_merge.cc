@@ -319,6 +319,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
   const float cells_per_pixel_y =
       static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
+  const RowSampler own_rows(own, RowSampler::Contrast::kNone);
+  std::vector<RowSampler> source_rows;
+  source_rows.reserve(sources.size());
+  for (const SourceLookup& source : sources) {
+    source_rows.emplace_back(*source.measurement, RowSampler::Contrast::kSampled);
+  }
   // What the reference says of every second pixel of every second row, once for all sources.
   constexpr int kStep = 2;
   const int sampled_width = (width - kStep / 2 + kStep - 1) / kStep;
@@ -329,11 +335,13 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   ParallelFor(sampled_height, 16, [&](int begin, int end) {
     RayRow rays;
     PointRow points;
+    SampledRow sampled;
     for (int row = begin; row < end; ++row) {
       RaysOfRow(output, row * kStep + kStep / 2, kStep / 2, kStep, world_from_output_matrix, &rays);
       PointsInView(rays, own_from_world, own_sampler, &points);
+      own_rows.Sample(points.x.data(), points.y.data(), rays.size(), &sampled);
       for (std::size_t i = 0; i < rays.size(); ++i) {
-        const RadianceSample mine = own_sampler.SampleAt(points.x[i], points.y[i]);
+        const RadianceSample mine = SampleOf(sampled, i);
         const bool counts = (mine.flags & (kMasked | kMover | kSaturatedAny)) == 0;
         own_luminance.at(static_cast<int>(i), row) = counts ? Luminance(mine.rgb.data()) : 0.0F;
       }
@@ -346,6 +354,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   ParallelFor(static_cast<int>(sources.size()), 1, [&](int begin, int end) {
     RayRow rays;
     SeenRow seen;
+    SampledRow sampled;
     std::vector<float> known_disparity(static_cast<std::size_t>(sampled_width));
     for (int n = begin; n < end; ++n) {
       SourceLookup& source = sources[static_cast<std::size_t>(n)];
@@ -364,6 +373,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                        [](float d) { return d >= 0.0F ? d : 0.0F; });
         SurfacePointsInView(rays, known_disparity, source.offset, source.camera_from_world,
                             *source.sampler, map_grid, &seen);
+        source_rows[static_cast<std::size_t>(n)].Sample(seen.image.x.data(), seen.image.y.data(),
+                                                        rays.size(), &sampled);
         for (std::size_t i = 0; i < rays.size(); ++i) {
           const int x = static_cast<int>(i) * kStep + kStep / 2;
           const float mine_y = own_luminance.at(static_cast<int>(i), row);
@@ -371,9 +382,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           if (SightOf(source, seen, i, disparities[i], occlusion_tolerance) != Sight::kVisible) {
             continue;
           }
-          const float px = seen.image.x[i];
-          const float py = seen.image.y[i];
-          const RadianceSample theirs = source.sampler->SampleAt(px, py);
+          const RadianceSample theirs = SampleOf(sampled, i);
           if ((theirs.flags & (kMasked | kMover | kSaturatedAny)) != 0) continue;
           const float theirs_y = Luminance(theirs.rgb.data());
           if (!(theirs_y > 0.0F)) continue;
@@ -392,8 +401,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
           if (well_exposed(mine_y, theirs_y)) exposure_ratios.push_back(ratio);
-          const float contrast =
-              LocalContrast(*source.measurement, px, py) * options.misalignment_px;
+          const float contrast = sampled.contrast[i] * options.misalignment_px;
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
                                AgreementField::kWidth +
                            static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
@@ -436,12 +444,6 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
          .misalignment_px = options.misalignment_px});
   }
 
-  const RowSampler own_rows(own, RowSampler::Contrast::kNone);
-  std::vector<RowSampler> source_rows;
-  source_rows.reserve(sources.size());
-  for (const SourceLookup& source : sources) {
-    source_rows.emplace_back(*source.measurement, RowSampler::Contrast::kSampled);
-  }
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 8, [&](int begin, int end) {
     MergeSamples samples;
