@@ -168,9 +168,9 @@ void LookUp(const float* __restrict map, const float* __restrict map_confidence,
 
 void LookUpDisparity(const DisparityMap& map, const PointRow& points, float* disparity,
                      float* confidence) {
-  LookUp(map.disparity.data(), map.confidence.data(), map.disparity.width(),
-         map.disparity.height(), points.x.data(), points.y.data(),
-         static_cast<int>(points.x.size()), disparity, confidence);
+  LookUp(map.disparity.data(), map.confidence.data(), map.disparity.width(), map.disparity.height(),
+         points.x.data(), points.y.data(), static_cast<int>(points.x.size()), disparity,
+         confidence);
 }
 
 void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, int width,
