@@ -327,6 +327,14 @@ Result<ResponseCalibration> CalibrateResponse(const ResponseSamples& samples,
   for (int c = 0; c < 3; ++c) {
     ResponseCurve& curve = calibration.curves[static_cast<std::size_t>(c)];
     curve = Describe(fit, samples, c, &bias);
+    // Worse than one value for all: what was fitted is not how these values came about.
+    if (curve.r_squared < 0.0) {
+      return Fail(ErrorKind::kData,
+                  "channel {}: a {} fit explains nothing of the values (R squared {:.2f}, expected "
+                  "above 0), residual {:.2f} stops: these values are not {}",
+                  "RGB"[c], ToString(options.method), curve.r_squared, curve.residual_stops,
+                  options.method == ResponseMethod::kLinear ? "linear" : "of this form");
+    }
     const auto used = static_cast<double>(curve.observations - curve.outliers);
     squares += used * curve.residual_stops * curve.residual_stops;
     kept += used;

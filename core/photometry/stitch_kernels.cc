@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <limits>
 
 #include "core/photometry/measurement.h"
 #include "core/photometry/mosaic.h"
@@ -414,9 +415,28 @@ HWY_INLINE void BlendVector(const float* const* rgba, const std::uint8_t* const*
       out[c] = hn::Mul(sum, inverse);
     }
   } else {
+    // A clean sample far below what a clipped one proves shows something else: where they meet at
+    // another distance than the sensors were aligned for. The sensor of the larger share is right.
+    const VF half = hn::Set(d, 0.5F);
     VU clean = zero;
+    VU lost[kMostBlended];
     for (int k = 0; k < sensors; ++k) {
-      clean = hn::Or(clean, hn::VecFromMask(du, hn::Eq(hn::And(state[k], all), zero)));
+      lost[k] = zero;
+      for (int j = 0; j < sensors; ++j) {
+        for (int c = 0; c < 3; ++c) {
+          const VU saturated = hn::Set(du, std::uint32_t{kSaturatedR} << static_cast<unsigned>(c));
+          const auto is_bound = hn::RebindMask(d, hn::Ne(hn::And(state[j], saturated), zero));
+          const auto is_below = hn::Lt(value[c][k], hn::Mul(half, value[c][j]));
+          const auto outweighs = hn::Ge(share[j], share[k]);
+          lost[k] =
+              hn::Or(lost[k],
+                     hn::VecFromMask(
+                         du, hn::RebindMask(du, hn::And(is_bound, hn::And(is_below, outweighs)))));
+        }
+      }
+      const VU unclipped = hn::VecFromMask(du, hn::Eq(hn::And(state[k], all), zero));
+      lost[k] = hn::And(lost[k], unclipped);
+      clean = hn::Or(clean, hn::AndNot(lost[k], unclipped));
     }
     bits = zero;
     for (int c = 0; c < 3; ++c) {
@@ -428,12 +448,14 @@ HWY_INLINE void BlendVector(const float* const* rgba, const std::uint8_t* const*
       VF shares = hn::Zero(d);
       VF bound = hn::Zero(d);
       for (int k = 0; k < sensors; ++k) {
-        const auto enters = hn::Eq(hn::And(state[k], barred), zero);
+        const auto stays = hn::Eq(lost[k], zero);
+        const auto enters = hn::And(stays, hn::Eq(hn::And(state[k], barred), zero));
         const auto enters_f = hn::RebindMask(d, enters);
         const VF part = hn::IfThenElseZero(enters_f, share[k]);
         sum = hn::MulAdd(part, value[c][k], sum);
         shares = hn::Add(shares, part);
-        bound = hn::Max(bound, hn::IfThenZeroElse(enters_f, value[c][k]));
+        bound = hn::Max(bound, hn::IfThenElseZero(hn::RebindMask(d, stays),
+                                                  hn::IfThenZeroElse(enters_f, value[c][k])));
         bits = hn::Or(bits, hn::IfThenElseZero(enters, hn::And(state[k], dark)));
       }
       const auto known = hn::Gt(shares, hn::Zero(d));
@@ -507,12 +529,49 @@ void NeutralWhere(std::uint8_t bits, float* rgb) {
   std::fill_n(rgb, 3, std::min({rgb[0], rgb[1], rgb[2]}));
 }
 
+// Interpolated between a clipped value and others a channel is no bound any more, and its hue that
+// of the gains: of what is clipped in part, the least value taken is a bound that holds.
+// `value_at(index)`: of a mosaic's place, as the scale takes it.
+template <typename ValueAt>
+void BoundClipped(const ValueAt& value_at, std::ptrdiff_t stride, const StitchSamples& samples,
+                  const StitchScale& scale, float* rgba, const std::uint8_t* flags) {
+  constexpr std::array<std::array<unsigned, 2>, 3> kPlaces = {{{0, 0}, {1, 2}, {3, 3}}};
+  for (int x = 0; x < samples.count; ++x) {
+    if ((flags[x] & kSaturatedAny) == 0) continue;
+    const std::uint32_t packed = samples.packed[x];
+    const unsigned odd = (packed >> 30U & 1U) | packed >> 31U << 1U;
+    const bool on_column = (packed & 255U) == 0;
+    const bool on_row = (packed >> 8U & 255U) == 0;
+    float* out = rgba + 4 * x;
+    for (std::size_t c = 0; c < 3; ++c) {
+      if ((flags[x] & kSaturatedBit[c]) == 0) continue;
+      float least = std::numeric_limits<float>::infinity();
+      for (const unsigned place : kPlaces[c]) {
+        const auto row = static_cast<int>((place ^ odd) >> 1U);
+        const auto column = static_cast<int>((place ^ odd) & 1U);
+        for (const int r : {row, row + 2}) {
+          for (const int k : {column, column + 2}) {
+            // Places 3 weigh nothing at a point on a column or a row (WeightsOf).
+            if ((r == 3 && on_row) || (k == 3 && on_column)) continue;
+            least = std::min(
+                least, value_at(static_cast<std::ptrdiff_t>(samples.block[x]) + r * stride + k));
+          }
+        }
+      }
+      out[c] = std::min(out[c], least * samples.shade[x] * scale.scale[c]);
+    }
+    NeutralWhere(flags[x], out);
+  }
+}
+
 }  // namespace
 
 void StitchMosaic(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
                   const StitchSamples& samples, const StitchScale& scale, float* rgba,
                   std::uint8_t* flags) {
   HWY_DYNAMIC_DISPATCH(StitchMosaicRow)(radiance, state, stride, samples, scale, rgba, flags);
+  BoundClipped([&](std::ptrdiff_t at) { return radiance[at]; }, stride, samples, scale, rgba,
+               flags);
 }
 
 void StitchGuided(const float* radiance, const float* guide, const std::uint8_t* state,
@@ -520,6 +579,8 @@ void StitchGuided(const float* radiance, const float* guide, const std::uint8_t*
                   float* rgba, std::uint8_t* flags) {
   HWY_DYNAMIC_DISPATCH(StitchGuidedRow)
   (radiance, guide, state, stride, samples, scale, rgba, flags);
+  BoundClipped([&](std::ptrdiff_t at) { return radiance[at]; }, stride, samples, scale, rgba,
+               flags);
 }
 
 void StitchBytes(const std::uint8_t* bytes, std::ptrdiff_t stride, float black, std::uint32_t low,
@@ -527,6 +588,9 @@ void StitchBytes(const std::uint8_t* bytes, std::ptrdiff_t stride, float black, 
                  float* rgba, std::uint8_t* flags) {
   HWY_DYNAMIC_DISPATCH(StitchBytesRow)
   (bytes, stride, black, low, high, samples, scale, rgba, flags);
+  BoundClipped(
+      [&](std::ptrdiff_t at) { return std::max(static_cast<float>(bytes[at]) - black, 0.25F); },
+      stride, samples, scale, rgba, flags);
 }
 
 void StitchColour(const float* radiance, const std::uint8_t* state, std::ptrdiff_t stride,
@@ -547,11 +611,15 @@ void StitchColour(const float* radiance, const std::uint8_t* state, std::ptrdiff
     for (std::size_t c = 0; c < 3; ++c) {
       const std::ptrdiff_t channel = channels == 3 ? static_cast<std::ptrdiff_t>(c) : 0;
       float sum = 0.0F;
+      float least = std::numeric_limits<float>::infinity();
       std::uint8_t most = 0;
       for (std::size_t k = 0; k < 4; ++k) {
-        sum += weight[k] * radiance[at[k] + channel];
+        const float value = radiance[at[k] + channel];
+        sum += weight[k] * value;
+        if (weight[k] > 0.0F) least = std::min(least, value);
         most = std::max(most, state[at[k] + channel]);
       }
+      if (most == kMosaicSaturated) sum = std::min(sum, least);  // see BoundClipped
       out[c] = sum * samples.shade[x] * scale.scale[c];
       if (most == kMosaicSaturated) bits = static_cast<std::uint8_t>(bits | kSaturatedBit[c]);
       if (most == kMosaicDark) bits = static_cast<std::uint8_t>(bits | kDarkBit[c]);

@@ -20,8 +20,9 @@ struct StitchScale {
   std::array<float, 3> scale{};
 };
 
-// A pixel saturated in all channels is written neutral, at the least of their bounds, which holds
-// for all of them: gains would make it pink.
+// A saturated channel holds the least of the values that it was made from: a bound that holds also
+// at the rim of a clipped area. A pixel saturated in all channels is written neutral, at the least
+// of their bounds, which holds for all of them: gains would make it pink.
 
 // Writes R, G, B, usable (Measurement) and flags (PixelFlag) of every sample. All run on the best
 // vector unit there is; the result does not depend on how a row is cut into calls.
@@ -49,9 +50,10 @@ void StitchColour(const float* radiance, const std::uint8_t* state, std::ptrdiff
                   std::uint8_t* flags);
 
 // Blends `sensors` rows of samples of the same pixels, k at rgba + 4·k·count, flags + k·count, by
-// their shares. A sample with a saturated channel takes part only where all have one; then a
-// channel saturated in all is the largest of the bounds, and one that is not is blended from those
-// in which it is not.
+// their shares. A sample with a saturated channel takes part only where all have one, but for those
+// that are less than half of what a clipped sample of no smaller share proves: they show something
+// else and are left out. Then a channel saturated in all is the largest of the bounds, and one that
+// is not is blended from those in which it is not.
 void BlendSamples(const float* rgba, const std::uint8_t* flags, const std::uint32_t* const* packed,
                   int sensors, int count, float* out_rgba, std::uint8_t* out_flags);
 

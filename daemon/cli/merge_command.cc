@@ -103,7 +103,13 @@ Result<int> Merge(const MergeArguments& arguments) {
   const ExrPixelType type =
       arguments.exr_type == "float" ? ExrPixelType::kFloat : SmallestType(view.radiance);
   ExrAttributes attributes;
-  attributes.envmap = ExrEnvmap::kNone;
+  const bool is_latlong = images.front().width() == 2 * images.front().height();
+  attributes.envmap = is_latlong ? ExrEnvmap::kLatLong : ExrEnvmap::kNone;
+  attributes.floats["expTime"] = merged.measurement.longest_exposure_s;
+  if (arguments.exr_type != "float" && type == ExrPixelType::kFloat) {
+    fmt::print(stderr, "{}: radiance up to {:.4g} exceeds half precision: stored as float\n",
+               arguments.out, largest);
+  }
   std::vector<std::byte> jpeg;
   if (!arguments.preview.empty()) {
     OMNIHDR_ASSIGN(jpeg, EncodeJpeg(ToneMapReinhard(view.radiance, ToneMapOptions{}), 92));

@@ -144,14 +144,19 @@ Status WritePanorama(const StitchArguments& arguments, const SphereGrid& grid,
   const MergedView view = ViewOfMeasurement(measurement);
   std::vector<std::byte> jpeg;
   const bool is_latlong = grid.kind() == SphereGridKind::kEquirectangular;
+  ExrAttributes attributes;
+  attributes.floats["expTime"] = measurement.longest_exposure_s;
+  const ExrPixelType type = SmallestType(view.radiance);
+  if (type == ExrPixelType::kFloat) {
+    fmt::print(stderr, "{}: radiance exceeds half precision: stored as float\n", arguments.out);
+  }
   if (!arguments.preview.empty()) {
     ToneMapOptions options;
     if (is_latlong) options.shape = PictureShape::kSphere;
     OMNIHDR_ASSIGN(jpeg, EncodeJpeg(ToneMap(view.radiance, options), 92, is_latlong));
   }
-  OMNIHDR_TRY(WriteRadianceFile(arguments.out,
-                                {&view.radiance, &view.origin, nullptr, SmallestType(view.radiance),
-                                 AttributesFor(grid, ExrAttributes{})}));
+  OMNIHDR_TRY(WriteRadianceFile(arguments.out, {&view.radiance, &view.origin, nullptr, type,
+                                                AttributesFor(grid, std::move(attributes))}));
   if (!jpeg.empty()) OMNIHDR_TRY(WriteFileAtomic(arguments.preview, jpeg));
   return {};
 }

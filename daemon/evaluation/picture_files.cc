@@ -4,11 +4,13 @@
 #include <array>
 #include <cstddef>
 #include <fstream>
+#include <limits>
 #include <system_error>
 #include <utility>
 #include <variant>
 
 #include "core/image/image_io.h"
+#include "core/stereo/view_merge.h"
 
 namespace omnihdr {
 namespace {
@@ -53,10 +55,16 @@ Result<Image<float>> RadianceOf(const ExrImage& exr, const std::string& name) {
     }
     channels[c] = &found->second;
   }
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  const auto origin = exr.channels.find("origin");
   Image<float> radiance(exr.width, exr.height, 3);
   for (int y = 0; y < exr.height; ++y) {
     for (int x = 0; x < exr.width; ++x) {
-      for (std::size_t c = 0; c < 3; ++c) radiance.pixel(x, y)[c] = channels[c]->at(x, y);
+      const bool has_data = origin == exr.channels.end() ||
+                            origin->second.at(x, y) != static_cast<float>(PixelOrigin::kNoData);
+      for (std::size_t c = 0; c < 3; ++c) {
+        radiance.pixel(x, y)[c] = has_data ? channels[c]->at(x, y) : kNan;
+      }
     }
   }
   return radiance;

@@ -229,8 +229,7 @@ TEST(Stitch, WhatIsClippedAltogetherIsNeutralAtABoundThatHoldsWhateverTheGains) 
 
 TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
   const Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
-  const DecodedImage image = ShootRing(rig, Grey, kFar, 1.0);  // 90
-  DecodedImage clipped = ShootRing(rig, Grey, kFar, 1.0);
+  DecodedImage clipped = ShootRing(rig, Grey, kFar, 1.6);  // 143
   auto& pixels = std::get<Image<std::uint8_t>>(clipped.pixels);
   for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});  // sensor 0
   Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
@@ -249,7 +248,7 @@ TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
           ++alone;
         } else {
           EXPECT_EQ(m.flags.at(x, y), 0);
-          EXPECT_NEAR(m.radiance.at(x, y, 1), 90.0 / 128.0, 1e-5);
+          EXPECT_NEAR(m.radiance.at(x, y, 1), 143.0 / 128.0, 1e-5);
           blends += has_0 ? 1 : 0;
         }
       }
@@ -257,6 +256,33 @@ TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
   }
   EXPECT_GT(blends, 100);
   EXPECT_GT(alone, 1000);
+}
+
+// Not aligned for its distance, one of them sees past the edge of something bright.
+TEST(Stitch, AValueFarBelowWhatAClippedSensorProvesIsLeftOutWhereThatOneHasTheLargerShare) {
+  const Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
+  DecodedImage clipped = ShootRing(rig, Grey, kFar, 0.2);  // 18
+  auto& pixels = std::get<Image<std::uint8_t>>(clipped.pixels);
+  for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});  // sensor 0
+  Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
+  const StitchTable table =
+      BuildStitchTable(rig, SphereGrid::Equirectangular(256, 128), {}).value();
+  const Measurement m = StitchFrames(stitcher, {{&clipped, {Seconds(1.0)}}});
+  int bright = 0;
+  int dark = 0;
+  for (int y = 0; y < 128; ++y) {
+    for (const StitchSegment& segment : table.rows[static_cast<std::size_t>(y)]) {
+      if (segment.sensors[0] != 0 || segment.count < 2) continue;
+      for (int x = segment.x0; x < segment.x1; ++x) {
+        const bool is_bound = (m.flags.at(x, y) & kSaturatedAny) == kSaturatedAny;
+        EXPECT_NEAR(m.radiance.at(x, y, 1), (is_bound ? 255.0 : 18.0) / 128.0, 1e-5);
+        bright += is_bound ? 1 : 0;
+        dark += is_bound ? 0 : 1;
+      }
+    }
+  }
+  EXPECT_GT(bright, 100);
+  EXPECT_GT(dark, 100);
 }
 
 // Share of every sensor in every pixel.
