@@ -50,9 +50,9 @@ struct CostVolume {
 };
 
 struct RangeOptions {
-  int reach = 2;             // pixels of the guide around a pixel whose disparity may be its own
-  double margin = 4.0;       // labels beyond those of the guide, where it is confident
-  double more_margin = 8.0;  // labels more where it is not at all
+  int reach = 1;             // pixels of the guide around a pixel whose disparity may be its own
+  double margin = 2.0;       // labels beyond those of the guide, where it is confident
+  double more_margin = 3.0;  // labels more where it is not at all
 };
 
 // The labels of each tile of a map of width × height that a guide - the same map at the same or
