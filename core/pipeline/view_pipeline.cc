@@ -10,6 +10,7 @@
 
 #include "core/base/profile.h"
 #include "core/pipeline/quality.h"
+#include "core/stereo/coarse_match.h"
 #include "core/stereo/confidence.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/pairwise_costs.h"
@@ -26,7 +27,6 @@ constexpr std::size_t kLookahead = 2;
 static_assert(kLookahead == PoseTracker::kFinalAfter);
 // A prepared stereo view is made anew when its pose has been corrected by more than this.
 constexpr double kStaleRotation = 5e-4;
-constexpr int kLeastCoarseLabels = 16;
 constexpr double kLeastSkyShare = 0.5;  // of a superpixel that is taken for sky
 
 class Stopwatch {
@@ -220,12 +220,9 @@ std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
   std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
   if (guide == nullptr || guide->disparity.width() != width) {
     const ProfileScope profile("coarse match");
-    SweepOptions coarse = sweep;
-    coarse.labels = std::max(kLeastCoarseLabels, sweep.labels / 2);
-    const StereoView& reference = CoarseViewOf(index, width);
-    const CostVolume volume = MatchingCosts(
-        options_.cost, reference, SweepNeighbours(index, neighbours, width, true), coarse);
-    guide = std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
+    guide = std::make_shared<DisparityMap>(
+        MatchCoarse(options_.cost, CoarseViewOf(index, width),
+                    SweepNeighbours(index, neighbours, width, true), sweep));
   }
   return RangesAround(*guide, width, width / 2, sweep.labels, sweep.max_disparity, RangeOptions{});
 }

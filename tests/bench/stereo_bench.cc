@@ -3,6 +3,7 @@
 #include <opencv2/calib3d.hpp>
 
 #include "core/pipeline/view_pipeline.h"
+#include "core/stereo/coarse_match.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/sgm.h"
 #include "core/stereo/sweep.h"
@@ -11,7 +12,9 @@
 #include "tests/bench/opencv_parts.h"
 
 // Matching of one view on a grid of 2048×1024 with 64 hypotheses: ours with four neighbours in
-// radiance, OpenCV's semi-global matchers one pair of the same pixels.
+// radiance, searched as the pipeline does - in the ranges that a match of half the size leaves in
+// question - and all hypotheses everywhere beside it; OpenCV's semi-global
+// matchers one pair of the same pixels.
 namespace omnihdr {
 namespace {
 
@@ -21,7 +24,9 @@ constexpr int kLabels = 64;
 // Five places; the one in the middle is matched.
 struct StereoInput {
   std::vector<StereoView> views;
+  std::vector<StereoView> halves;
   std::vector<SweepNeighbour> neighbours;
+  std::vector<SweepNeighbour> half_neighbours;
   std::vector<std::size_t> places = {2, 1, 3, 0, 4};
   LogScale scale;
 };
@@ -43,8 +48,11 @@ const StereoInput& Input() {
       in.views.push_back(MakeStereoView(drive.measurements[place], drive.plan.poses[place].rotation,
                                         2 * kMapWidth, in.scale));
     }
+    for (const StereoView& view : in.views) in.halves.push_back(HalveStereoView(view));
     const Eigen::Vector3d centre = drive.plan.poses[in.places[0]].translation;
     for (std::size_t k = 1; k < in.places.size(); ++k) {
+      in.half_neighbours.push_back(
+          {&in.halves[k], (drive.plan.poses[in.places[k]].translation - centre).cast<float>()});
       in.neighbours.push_back(
           {&in.views[k], (drive.plan.poses[in.places[k]].translation - centre).cast<float>()});
     }
@@ -60,11 +68,21 @@ SweepOptions Labels() {
   return options;
 }
 
-DisparityMap MatchOnce(const StereoView& reference, std::size_t neighbours) {
-  const std::vector<SweepNeighbour> some(
-      Input().neighbours.begin(),
-      Input().neighbours.begin() + static_cast<std::ptrdiff_t>(neighbours));
-  return OptimiseSemiGlobal(SweepCosts(reference, some, Labels()), reference, SgmOptions{});
+std::vector<SweepNeighbour> Some(const std::vector<SweepNeighbour>& all, std::size_t count) {
+  return {all.begin(), all.begin() + static_cast<std::ptrdiff_t>(count)};
+}
+
+DisparityMap MatchOnce(const StereoView& reference, std::size_t neighbours, bool everywhere) {
+  SweepOptions options = Labels();
+  if (!everywhere) {
+    const StereoView half = HalveStereoView(reference);
+    const DisparityMap guide = MatchCoarse(StereoCost::kInterval, half,
+                                           Some(Input().half_neighbours, neighbours), options);
+    options.ranges = RangesAround(guide, kMapWidth, kMapWidth / 2, options.labels,
+                                  options.max_disparity, RangeOptions{});
+  }
+  return OptimiseSemiGlobal(SweepCosts(reference, Some(Input().neighbours, neighbours), options),
+                            reference, SgmOptions{});
 }
 
 StereoView Prepared(std::size_t place) {
@@ -77,19 +95,27 @@ StereoView Prepared(std::size_t place) {
 void OmnihdrStereo(benchmark::State& state) {
   Input();
   for (auto _ : state) {
-    benchmark::DoNotOptimize(MatchOnce(Prepared(Input().places[0]), 4));
+    benchmark::DoNotOptimize(MatchOnce(Prepared(Input().places[0]), 4, false));
   }
 }
 OMNIHDR_BENCHMARK(OmnihdrStereo, "Stereo/omnihdr")->Iterations(1);
 
+void OmnihdrStereoEverywhere(benchmark::State& state) {
+  Input();
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(MatchOnce(Prepared(Input().places[0]), 4, true));
+  }
+}
+OMNIHDR_BENCHMARK(OmnihdrStereoEverywhere, "Stereo/all_labels")->Iterations(1);
+
 // All that the pipeline does for a view's disparity: beside that, a map of the next view with the
 // three neighbours it has by then, votes of all maps, and holes filled.
 void OmnihdrStereoFused(benchmark::State& state) {
-  const DisparityMap before = MatchOnce(Input().views[0], 2);
+  const DisparityMap before = MatchOnce(Input().views[0], 2, false);
   for (auto _ : state) {
     const StereoView reference = Prepared(Input().places[0]);
-    const DisparityMap own = MatchOnce(reference, 4);
-    const DisparityMap ahead = MatchOnce(reference, 3);
+    const DisparityMap own = MatchOnce(reference, 4, false);
+    const DisparityMap ahead = MatchOnce(reference, 3, false);
     std::vector<NeighbourMap> maps;
     for (std::size_t k = 0; k < 3; ++k) {
       maps.push_back({k == 1 ? &ahead : &before, Input().neighbours[k].offset});
