@@ -303,7 +303,11 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
     if (options_.sky) PutSkyAtInfinity(superpixels, FindSky(radiance), kLeastSkyShare, &fused);
   }
   if (options_.fill == StereoFill::kRims) FillHoles(brightness, FillOptions{}, &fused);
-  ForgetScattered(slot.stereo_view, &fused);
+  const StereoView& view = StereoViewOf(index, fused.disparity.width());
+  ForgetUnseen(view,
+               SweepNeighbours(index, MatchPartners(index, options.neighbours),
+                               fused.disparity.width(), false),
+               &fused);
   return fused;
 }
 

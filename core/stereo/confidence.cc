@@ -2,11 +2,15 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <limits>
+#include <numbers>
 #include <vector>
 
 #include "core/base/parallel_for.h"
+#include "core/sphere/fast_angle.h"
+#include "core/sphere/latlong_grid.h"
 
 namespace omnihdr {
 namespace {
@@ -29,6 +33,30 @@ constexpr float kLeastScore = 0.02F;  // below: filled
 
 constexpr int kAreaRadius = 4;            // of the square that has to agree, in map pixels
 constexpr double kLeastAreaShare = 0.75;  // of that square's pixels
+
+constexpr int kLeastWitnesses = 2;
+
+bool SaysNothing(std::uint64_t texel) { return (texel & 0xFFU) > ((texel >> 8U) & 0xFFU); }
+
+// How many views have something where they would see a surface point.
+int Witnesses(const std::vector<SweepNeighbour>& neighbours, const Eigen::Vector3f& ray,
+              float disparity) {
+  if (!(disparity >= 0.0F)) return 0;
+  int count = 0;
+  for (const SweepNeighbour& neighbour : neighbours) {
+    const StereoView& view = *neighbour.view;
+    const Eigen::Vector3f v = ray - disparity * neighbour.offset;
+    const float rho = std::sqrt(v.x() * v.x() + v.y() * v.y());
+    const float column = (std::numbers::pi_v<float> - FastAtan2(v.y(), v.x())) *
+                         static_cast<float>(view.width) / (2.0F * std::numbers::pi_v<float>);
+    const float row =
+        FastAtan2(rho, v.z()) * static_cast<float>(view.height) / std::numbers::pi_v<float>;
+    const int j = std::clamp(static_cast<int>(column + 0.5F), 0, view.width);
+    const int i = std::clamp(static_cast<int>(row + 0.5F), 0, view.height);
+    count += SaysNothing(view.row(i)[j]) ? 0 : 1;
+  }
+  return count;
+}
 
 }  // namespace
 
@@ -56,13 +84,11 @@ void CalibrateConfidence(const Image<float>& disparity, Image<float>* confidence
   });
 }
 
-void ForgetScattered(const StereoView& reference, DisparityMap* map) {
+void ForgetUnseen(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
+                  DisparityMap* map) {
   const int width = map->disparity.width();
   const int height = map->disparity.height();
-  const auto says_nothing = [&](int x, int y) {
-    const std::uint64_t texel = reference.row(2 * y + 1)[2 * x + 1];
-    return (texel & 0xFFU) > ((texel >> 8U) & 0xFFU);
-  };
+  const LatLongGrid grid(width, height);
   // Of each square of a row's pixels, how many are trusted; then of the rows around.
   Image<std::uint8_t> trusted_in_row(width, height);
   ParallelFor(height, 16, [&](int begin, int end) {
@@ -84,10 +110,13 @@ void ForgetScattered(const StereoView& reference, DisparityMap* map) {
       const int least = static_cast<int>(kLeastAreaShare * (2 * kAreaRadius + 1) *
                                          static_cast<double>(below - above + 1));
       for (int x = 0; x < width; ++x) {
-        if (!says_nothing(x, y)) continue;
+        if (!SaysNothing(reference.row(2 * y + 1)[2 * x + 1])) continue;
         int count = 0;
         for (int k = above; k <= below; ++k) count += trusted_in_row.at(x, k);
-        if (count > least) continue;
+        if (count > least &&
+            Witnesses(neighbours, grid.Ray(x, y), map->disparity.at(x, y)) >= kLeastWitnesses) {
+          continue;
+        }
         map->disparity.at(x, y) = std::numeric_limits<float>::quiet_NaN();
         map->confidence.at(x, y) = 0.0F;
       }

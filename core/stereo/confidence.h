@@ -1,8 +1,11 @@
 #pragma once
 
+#include <vector>
+
 #include "core/image/image.h"
 #include "core/stereo/sgm.h"
 #include "core/stereo/stereo_view.h"
+#include "core/stereo/sweep.h"
 
 namespace omnihdr {
 
@@ -20,7 +23,10 @@ float ProbabilityRight(float score);
 void CalibrateConfidence(const Image<float>& disparity, Image<float>* confidence);
 
 // Where the reference itself saw nothing (masked, outside its sensors), makes unknown again what is
-// not part of an area that other views agree on: single pixels strewn about are chance.
-void ForgetScattered(const StereoView& reference, DisparityMap* map);
+// not part of an area that other views agree on: single pixels strewn about are chance; and what
+// not two of the neighbours can have seen: maps agree on chance as well where all have the same
+// blind side.
+void ForgetUnseen(const StereoView& reference, const std::vector<SweepNeighbour>& neighbours,
+                  DisparityMap* map);
 
 }  // namespace omnihdr

@@ -60,24 +60,43 @@ TEST(CalibrateConfidence, WhatIsNotKnownHasNone) {
   EXPECT_EQ(confidence.at(1, 0), 0.0F);
 }
 
-TEST(ForgetScattered, LeavesAloneWhatTheReferenceSaw) {
+SweepNeighbour Beside(const StereoView& view, float y) {
+  return {&view, Eigen::Vector3f(0.0F, y, 0.0F)};
+}
+
+TEST(ForgetUnseen, LeavesAloneWhatTheReferenceSaw) {
   DisparityMap map = Map(0.0F);
-  ForgetScattered(View(kHeight), &map);
+  ForgetUnseen(View(kHeight), {}, &map);
   for (const float d : map.disparity.values()) EXPECT_EQ(d, 0.5F);
 }
 
-TEST(ForgetScattered, KeepsAnAreaThatOthersAgreeOn) {
+TEST(ForgetUnseen, KeepsAnAreaThatOthersAgreeOn) {
   DisparityMap map = Map(0.8F);
-  ForgetScattered(View(16), &map);
+  const StereoView whole = View(kHeight + 1);
+  ForgetUnseen(View(16), {Beside(whole, -0.1F), Beside(whole, 0.1F)}, &map);
   for (const float d : map.disparity.values()) EXPECT_EQ(d, 0.5F);
 }
 
-TEST(ForgetScattered, DropsSinglePixelsWhereTheReferenceSawNothing) {
+TEST(ForgetUnseen, DropsAnAreaThatNotTwoOthersCanHaveSeen) {
+  const StereoView whole = View(kHeight + 1);
+  const StereoView blind = View(16);
+  for (const bool one_sees : {false, true}) {
+    DisparityMap map = Map(0.8F);
+    ForgetUnseen(blind, {Beside(blind, -0.1F), Beside(one_sees ? whole : blind, 0.1F)}, &map);
+    for (int y = 0; y < kHeight; ++y) {
+      EXPECT_EQ(std::isnan(map.disparity.at(3, y)), y >= 16) << y;
+      EXPECT_EQ(map.confidence.at(3, y) == 0.0F, y >= 16) << y;
+    }
+  }
+}
+
+TEST(ForgetUnseen, DropsSinglePixelsWhereTheReferenceSawNothing) {
   DisparityMap map = Map(0.1F);
   for (int y = 0; y < kHeight; y += 3) {
     for (int x = 0; x < kWidth; x += 3) map.confidence.at(x, y) = 0.8F;
   }
-  ForgetScattered(View(16), &map);
+  const StereoView whole = View(kHeight + 1);
+  ForgetUnseen(View(16), {Beside(whole, -0.1F), Beside(whole, 0.1F)}, &map);
   for (int y = 0; y < kHeight; ++y) {
     for (int x = 0; x < kWidth; ++x) {
       EXPECT_EQ(std::isnan(map.disparity.at(x, y)), y >= 16) << x << ", " << y;
