@@ -227,19 +227,27 @@ TEST(Stitch, WhatIsClippedAltogetherIsNeutralAtABoundThatHoldsWhateverTheGains) 
   }
 }
 
+// A ring's frame of a grey world in which sensor 0 has clipped everywhere, stitched.
+struct ClippedSensor {
+  Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
+  StitchTable table = BuildStitchTable(rig, SphereGrid::Equirectangular(256, 128), {}).value();
+  Measurement measurement;
+  explicit ClippedSensor(double seconds) {
+    DecodedImage image = ShootRing(rig, Grey, kFar, seconds);
+    auto& pixels = std::get<Image<std::uint8_t>>(image.pixels);
+    for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});
+    Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
+    measurement = StitchFrames(stitcher, {{&image, {Seconds(1.0)}}});
+  }
+};
+
 TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
-  const Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
-  DecodedImage clipped = ShootRing(rig, Grey, kFar, 1.6);  // 143
-  auto& pixels = std::get<Image<std::uint8_t>>(clipped.pixels);
-  for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});  // sensor 0
-  Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
-  const StitchTable table =
-      BuildStitchTable(rig, SphereGrid::Equirectangular(256, 128), {}).value();
-  const Measurement m = StitchFrames(stitcher, {{&clipped, {Seconds(1.0)}}});
+  const ClippedSensor stitched(1.6);  // grey: 143
+  const Measurement& m = stitched.measurement;
   int blends = 0;
   int alone = 0;
   for (int y = 0; y < 128; ++y) {
-    for (const StitchSegment& segment : table.rows[static_cast<std::size_t>(y)]) {
+    for (const StitchSegment& segment : stitched.table.rows[static_cast<std::size_t>(y)]) {
       const bool has_0 = segment.sensors[0] == 0;
       for (int x = segment.x0; x < segment.x1; ++x) {
         if (has_0 && segment.count == 1) {
@@ -260,18 +268,12 @@ TEST(Stitch, AClippedSensorDoesNotEnterABlendWithOneThatIsNot) {
 
 // Not aligned for its distance, one of them sees past the edge of something bright.
 TEST(Stitch, AValueFarBelowWhatAClippedSensorProvesIsLeftOutWhereThatOneHasTheLargerShare) {
-  const Rig rig = MakeRing({.vignetting = {}, .equal_gains = true});
-  DecodedImage clipped = ShootRing(rig, Grey, kFar, 0.2);  // 18
-  auto& pixels = std::get<Image<std::uint8_t>>(clipped.pixels);
-  for (int y = 0; y < 96; ++y) std::fill_n(pixels.row(y), 128, std::uint8_t{255});  // sensor 0
-  Stitcher stitcher = Stitcher::Create(rig, Projection::Equirectangular(256, 128), {}).value();
-  const StitchTable table =
-      BuildStitchTable(rig, SphereGrid::Equirectangular(256, 128), {}).value();
-  const Measurement m = StitchFrames(stitcher, {{&clipped, {Seconds(1.0)}}});
+  const ClippedSensor stitched(0.2);  // grey: 18
+  const Measurement& m = stitched.measurement;
   int bright = 0;
   int dark = 0;
   for (int y = 0; y < 128; ++y) {
-    for (const StitchSegment& segment : table.rows[static_cast<std::size_t>(y)]) {
+    for (const StitchSegment& segment : stitched.table.rows[static_cast<std::size_t>(y)]) {
       if (segment.sensors[0] != 0 || segment.count < 2) continue;
       for (int x = segment.x0; x < segment.x1; ++x) {
         const bool is_bound = (m.flags.at(x, y) & kSaturatedAny) == kSaturatedAny;
