@@ -18,11 +18,12 @@ namespace omnihdr {
 // mosaic colour by colour (MeasureOptions::demosaic) through tables built once, corrected for
 // vignetting and the sensors' gains, and blended in linear radiance where sensors meet. Laws: a
 // pixel is saturated in a channel when any value of that colour it was made from is, dark when all
-// are; a saturated sample does not enter a blend with one that is not; where no sensor sees, the
-// pixel is masked. The noise of the measurement is the panorama's mean: interpolation lowers it,
-// correction for vignetting raises it towards the sensors' corners, and neighbouring pixels share
-// values, so their noise is not independent. The same bytes on any number of cores. Not
-// thread-safe: a stitcher keeps its scratch memory; uses the worker pool inside.
+// are, and then holds the least of those values, a bound; a saturated sample does not enter a blend
+// with one that is not, unless that one is far below what it proves (BlendSamples); where no sensor
+// sees, the pixel is masked. The noise of the measurement is the panorama's mean: interpolation
+// lowers it, correction for vignetting raises it towards the sensors' corners, and neighbouring
+// pixels share values, so their noise is not independent. The same bytes on any number of cores.
+// Not thread-safe: a stitcher keeps its scratch memory; uses the worker pool inside.
 class Stitcher {
  public:
   // Errors as BuildStitchTable, and where no sensor sees anything of the panorama.

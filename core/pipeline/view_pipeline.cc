@@ -256,8 +256,8 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index,
   return std::make_shared<DisparityMap>(OptimiseSemiGlobal(volume, reference, SgmOptions{}));
 }
 
-DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t>& brightness,
-                                     const PipelineOptions& options, int* level) {
+DisparityMap ViewPipeline::RefineMap(std::size_t index, const PipelineOptions& options,
+                                     int* level) {
   const Slot& slot = slots_[index];
   std::vector<NeighbourMap> maps;
   std::deque<DisparityMap> resized;  // of neighbours that were matched at another quality level
@@ -302,8 +302,8 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const Image<std::uint8_t
     if (options_.fill == StereoFill::kSuperpixels) FillSuperpixels(superpixels, &fused);
     if (options_.sky) PutSkyAtInfinity(superpixels, FindSky(radiance), kLeastSkyShare, &fused);
   }
-  if (options_.fill == StereoFill::kRims) FillHoles(brightness, FillOptions{}, &fused);
   const StereoView& view = StereoViewOf(index, fused.disparity.width());
+  if (options_.fill == StereoFill::kRims) FillHoles(MapBrightness(view), FillOptions{}, &fused);
   ForgetUnseen(view,
                SweepNeighbours(index, MatchPartners(index, options.neighbours),
                                fused.disparity.width(), false),
@@ -348,11 +348,8 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
       following.ahead_level = level;
     }
   }
-  Image<std::uint8_t> brightness;
   if (slot.raw != nullptr && view.made) {
-    brightness = MapBrightness(StereoViewOf(index, options.stereo_width));
-    slot.fused =
-        std::make_shared<DisparityMap>(RefineMap(index, brightness, options, &view.quality_level));
+    slot.fused = std::make_shared<DisparityMap>(RefineMap(index, options, &view.quality_level));
   }
   view.stereo_s = stereo_time.Seconds();
 

@@ -126,8 +126,7 @@ class ViewPipeline {
                                               bool coarse);
   // The slot's map with its neighbours' help, by the methods chosen: fused, filtered, filled.
   // Raises `level` to that of the neighbours' maps used.
-  DisparityMap RefineMap(std::size_t index, const Image<std::uint8_t>& brightness,
-                         const PipelineOptions& options, int* level);
+  DisparityMap RefineMap(std::size_t index, const PipelineOptions& options, int* level);
   double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;
   std::string SaveState(PositionId after) const;
 

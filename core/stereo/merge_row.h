@@ -26,9 +26,9 @@ struct SourceRow {
   SeenRow seen;
   SampledRow sampled;                          // radiance as the reference would have measured it
   std::array<std::vector<float>, 3> variance;  // of that
-  std::vector<float> trust;                    // of the block of pixels; then of the pixel
+  std::vector<float> trust;                    // of the block of pixels that each lies in
   std::vector<Sight> sight;
-  std::vector<float> weight;  // of green in the mean of plain pixels
+  std::vector<float> weight;  // of green in the mean of plain pixels (PlainRow::Add)
 };
 
 // How likely it is that a view shows something else than the surface sought.
@@ -37,7 +37,9 @@ struct MergeErrors {
   float model_error;             // relative
 };
 
-// Fills `sampled` to `trust` of a row from what is seen of it.
+// Fills all but `weight` of row `y` of an output of `width` pixels from `row->seen`. `block`: side
+// of a block of SourceLookup::block_trust, in output pixels; `disparity`: of the reference along
+// the row, NaN = unknown.
 void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, int width,
                   int block, const float* disparity, float occlusion_tolerance,
                   const MergeErrors& errors, SourceRow* row);

@@ -111,8 +111,7 @@ OMNIHDR_ALWAYS_INLINE void Step(const std::uint8_t* __restrict cost, const Label
 class PathBuffers {
  public:
   PathBuffers(int paths, int labels)
-      : labels_(labels),
-        values_(static_cast<std::size_t>(2 * paths) * static_cast<std::size_t>(labels + 2 * kPad),
+      : values_(static_cast<std::size_t>(2 * paths) * static_cast<std::size_t>(labels + 2 * kPad),
                 kGuard),
         paths_(static_cast<std::size_t>(paths)) {
     std::uint16_t* at = values_.data() + kPad;
@@ -123,10 +122,8 @@ class PathBuffers {
     }
   }
   Path* paths() { return paths_.data(); }
-  int labels() const { return labels_; }
 
  private:
-  int labels_;
   std::vector<std::uint16_t> values_;
   std::vector<Path> paths_;
 };
