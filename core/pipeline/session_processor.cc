@@ -270,6 +270,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     input.odometer_m = loaded->reference.odometer_m;
     input.prior = loaded->reference.pose;
     input.heading_deg = loaded->reference.heading_deg;
+    input.gnss = ClueFromFix(loaded->reference.gnss);
     std::optional<FinishedView> finished =
         pipeline_->Push(std::move(input), WantView(), quality_level);
     if (finished) {

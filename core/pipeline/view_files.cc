@@ -237,6 +237,8 @@ ViewRecord RecordOfView(const FinishedView& view, const std::string& mode) {
   record.position = view.pose.position;
   record.pose = view.pose.world_from_camera;
   record.metric_scale = view.pose.metric;
+  record.scale_source = view.pose.scale_source;
+  record.gnss_scale = view.pose.gnss_scale;
   record.chain = view.pose.chain;
   record.chain_reason = view.pose.chain_reason;
   record.sigma = view.pose.sigma;

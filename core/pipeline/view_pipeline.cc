@@ -119,7 +119,7 @@ void ViewPipeline::UpdatePoses() {
     for (Slot& slot : slots_) {
       if (slot.input.position != pose.position) continue;
       // A map is of the frame and the unit it was made in.
-      if (slot.pose.revision != pose.revision) slot.raw = nullptr;
+      if (slot.pose.revision != pose.revision) slot.raw = slot.ahead = nullptr;
       slot.pose = pose;
     }
   }
@@ -364,6 +364,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   if (!view.pose.dead_reckoned.empty()) {
     view.warnings.push_back("pose by heading and odometer alone: " + view.pose.dead_reckoned);
   }
+  if (!view.pose.scale_note.empty()) view.warnings.push_back(view.pose.scale_note);
   for (const std::string& note : NotesOnOldPlaces(view.pose)) view.warnings.push_back(note);
   if (!view.made) return view;
 
@@ -419,7 +420,7 @@ std::optional<FinishedView> ViewPipeline::Push(PositionInput input, const WantVi
   {
     const ProfileScope profile("poses, the rest");
     tracker_->Push(input.position, input.measurement,
-                   PositionClues{input.odometer_m, input.prior, input.heading_deg});
+                   PositionClues{input.odometer_m, input.prior, input.heading_deg, input.gnss});
   }
   last_pose_s_ = pose_time.Seconds();
   ExtendScale(input.measurement);

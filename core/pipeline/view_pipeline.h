@@ -29,6 +29,7 @@ struct PositionInput {
   std::optional<double> odometer_m;
   std::optional<Pose> prior;
   std::optional<double> heading_deg;  // see PositionClues
+  std::optional<GnssClue> gnss;
 };
 
 // A finished view, not yet on disk.

@@ -8,6 +8,7 @@
 
 #include "core/base/result.h"
 #include "core/photometry/measurement.h"
+#include "core/pose/gnss_scale.h"
 #include "core/session/pose_notes.h"
 #include "core/session/session.h"
 #include "core/sphere/pose.h"
@@ -39,6 +40,12 @@ struct PoseEstimate {
   int chain = 0;             // positions of different chains have no common frame
   std::string chain_reason;  // set where a new chain begins (not for the first): why
   bool metric = false;       // translation in metres
+  ScaleSource scale_source = ScaleSource::kNone;
+  // What satellite fixes along the chain say of its unit, as of when the pose became final; none
+  // without fixes, or while they say too little.
+  std::optional<GnssScale> gnss_scale;
+  // A line for people where the fixes begin to contradict the unit's other source; empty else.
+  std::string scale_note;
   bool has_baseline =
       true;  // false: pure rotation against its neighbours, translation unknown (kept)
   double median_inverse_distance = 0.0;  // of the points seen here; 0 when none
@@ -63,6 +70,8 @@ struct PositionClues {
   std::optional<double> odometer_m;   // gives metric scale
   std::optional<Pose> prior;          // known from elsewhere: used instead of estimating
   std::optional<double> heading_deg;  // bearing of the camera's forward axis, clockwise
+  // Gives metric scale where the odometer does not, once the fixes along the chain tell it to 2 %.
+  std::optional<GnssClue> gnss;
 };
 
 // A remembered place as bytes, to be kept for the time after a restart.
@@ -78,6 +87,10 @@ struct SavedKeyframe {
 // remembered, evenly over the session, as points whose distance is known: a position that cannot be
 // linked, or one of a later chain, that sees an old place again is put into that place's chain, and
 // one that comes back to a place of its own chain tells how far it had drifted and is put right.
+// Lengths are metres by the odometer, or else by satellite fixes: these are compared with the way
+// of the whole chain, by some dozens of positions spread over it, and when they tell its unit the
+// chain ends and goes on as a new one in metres. Where both are there, the odometer counts and a
+// contradiction is told.
 // Poses that have left the window never change. Time and memory for a position do not depend on how
 // many came before it. Deterministic: the same measurements give the same poses to the last bit, on
 // any number of cores. Not thread-safe.
@@ -97,7 +110,7 @@ class PoseTracker {
                     const PositionClues& clues) = 0;
   void Push(PositionId position, const Measurement& measurement, std::optional<double> odometer_m,
             const std::optional<Pose>& prior) {
-    Push(position, measurement, PositionClues{odometer_m, prior, std::nullopt});
+    Push(position, measurement, PositionClues{odometer_m, prior, std::nullopt, std::nullopt});
   }
   // Estimates of the positions in the window, oldest first, as of the last Push.
   virtual std::vector<PoseEstimate> Window() const = 0;

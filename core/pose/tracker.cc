@@ -110,6 +110,7 @@ void Tracker::Push(PositionId position, FeatureSet features, const PositionClues
   if (clues.heading_deg && std::isfinite(*clues.heading_deg) && options_.heading_sigma_deg > 0.0) {
     tracked.heading_deg = clues.heading_deg;
   }
+  if (clues.gnss && clues.gnss->sigma_m > 0.0) tracked.gnss = clues.gnss;
   evidence_.push_back(Observe(size(), position, std::move(features)));
   Place(&tracked, &evidence_.back(), clues.prior);
   for (Link& link : evidence_.back().links) link.unexplained = {};
@@ -125,8 +126,12 @@ void Tracker::Push(PositionId position, FeatureSet features, const PositionClues
             .norm();
   }
   SeeOldPlaces(tracks);
+  CompareWithGnss();
   Remember(tracks);
   PurgeChains();
+  for (TrackedPosition& each : state_.window) {
+    each.estimate.scale_source = state_.chains.at(each.estimate.chain).source;
+  }
 }
 
 Status Tracker::RestoreState(const std::string& json) {

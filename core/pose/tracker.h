@@ -22,9 +22,10 @@ namespace omnihdr {
 // Largest parallax, in radian, below which it is not known how far away a point is.
 inline constexpr double kKnownParallax = 3.0e-3;
 
-// The pose tracker from features on: what pose_tracker.h says, without the pictures. In four files:
+// The pose tracker from features on: what pose_tracker.h says, without the pictures. In five files:
 // the window (tracker.cc), the first pose of a position (tracker_place.cc), the adjustment
-// (tracker_adjust.cc), old places (tracker_recognise.cc). Not thread-safe.
+// (tracker_adjust.cc), old places (tracker_recognise.cc), satellites
+// (tracker_gnss.cc). Not thread-safe.
 class Tracker {
  public:
   explicit Tracker(const PoseOptions& options) : options_(options) {}
@@ -115,6 +116,11 @@ class Tracker {
   void Reexpress(int from_chain, int to_chain, const Pose& from, const Pose& to, double scale);
   void Remember(const std::vector<Track>& tracks);
   void Thin();
+
+  // Satellites (tracker_gnss.cc).
+  void CompareWithGnss();
+  void GoOnInMetres(int chain_id, const GnssScale& scale);
+  static void Rescale(double scale, Keyframe* keyframe);
 
   PoseOptions options_;
   TrackerState state_;

@@ -231,7 +231,10 @@ void Tracker::Adjust(int chain_id, const std::vector<Track>& tracks) {
   std::vector<double> parallaxes;
   AddPoints(camera_of, tracks, &bundle, &parallaxes);
   if (bundle.points.empty()) return;
-  if (chain.metric) AddDistances(members, &bundle);
+  // The unit of a chain in metres by satellites is not the odometer's, by a percent or two.
+  if (chain.source == ScaleSource::kOdometer || chain.source == ScaleSource::kGiven) {
+    AddDistances(members, &bundle);
+  }
 
   BundleOptions adjust;
   adjust.huber_rad = options_.huber_rad;
@@ -242,7 +245,7 @@ void Tracker::Adjust(int chain_id, const std::vector<Track>& tracks) {
 
   const auto& cameras = bundle.cameras;
   double scale = 1.0;
-  if (!chain.metric && !any_given) {
+  if ((!chain.metric || chain.source == ScaleSource::kGnss) && !any_given) {
     const auto a = IndexOf(chain.unit_from);
     const auto b = IndexOf(chain.unit_to);
     if (a && b && camera_of[*a] >= 0 && camera_of[*b] >= 0) {
@@ -250,7 +253,7 @@ void Tracker::Adjust(int chain_id, const std::vector<Track>& tracks) {
       const BundleCamera& to = cameras[static_cast<std::size_t>(camera_of[*b])];
       const double length =
           (from.world_from_camera.translation - to.world_from_camera.translation).norm();
-      if (!to.fixed && length > 1e-9) scale = 1.0 / length;
+      if (!to.fixed && length > 1e-9) scale = chain.unit_length / length;
     }
   }
   TellSigmas(adjust, bundle, members, camera_of, scale);

@@ -34,6 +34,7 @@ void Tracker::StartChain(TrackedPosition* tracked, std::string reason,
   if (prior) {
     e.world_from_camera = *prior;
     chain.given = chain.metric = chain.scaled = true;
+    chain.source = ScaleSource::kGiven;
   }
   e.metric = chain.metric;
   state_.chains[e.chain] = chain;
@@ -272,6 +273,7 @@ void Tracker::Place(TrackedPosition* tracked, Evidence* evidence,
     chain.unit_to = e.position;
     const auto& before = state_.window[*IndexOf(best->link->from)].odometer_m;
     chain.metric = before && tracked->odometer_m && *tracked->odometer_m > *before;
+    if (chain.metric) chain.source = ScaleSource::kOdometer;
     // Those placed before the first baseline was known are in the same unit.
     for (TrackedPosition& placed : state_.window) {
       if (placed.estimate.chain == chain_id) placed.estimate.metric = chain.metric;

@@ -307,6 +307,8 @@ Status Tracker::RestoreKeyframe(const SavedKeyframe& saved) {
                 Value(saved.position), crc, entry->crc);
   }
   OMNIHDR_ASSIGN(Keyframe keyframe, KeyframeFromBytes(saved.bytes));
+  keyframe.chain = entry->chain;
+  Rescale(entry->scale, &keyframe);
   keyframes_[saved.position] = std::move(keyframe);
   return {};
 }

@@ -9,9 +9,10 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr int kVersion = 2;
+constexpr int kVersion = 3;
 constexpr std::size_t kMaxWindow = 1000;
 constexpr std::size_t kMaxKeyframes = 10'000;
+constexpr std::size_t kMaxFixes = 1000;
 
 Json VectorJson(const Eigen::Vector3d& v) { return {v.x(), v.y(), v.z()}; }
 
@@ -20,7 +21,27 @@ Eigen::Vector3d VectorFrom(const Json& json) {
   return {v[0], v[1], v[2]};
 }
 
+Json ScaleJson(const GnssScale& scale) {
+  return {scale.metres_per_unit, scale.sigma, scale.fixes, scale.outliers};
+}
+
+GnssScale ScaleFrom(const Json& json) {
+  return {json.at(0).get<double>(), json.at(1).get<double>(), json.at(2).get<int>(),
+          json.at(3).get<int>()};
+}
+
+Json ClueJson(const GnssClue& clue) {
+  return {clue.place.lat_deg, clue.place.lon_deg, clue.place.alt_m, clue.sigma_m};
+}
+
+GnssClue ClueFrom(const Json& json) {
+  return {{json.at(0).get<double>(), json.at(1).get<double>(), json.at(2).get<double>()},
+          json.at(3).get<double>()};
+}
+
 void NotesToJson(const PoseEstimate& e, Json* json) {
+  if (e.gnss_scale) (*json)["gnss_scale"] = ScaleJson(*e.gnss_scale);
+  if (!e.scale_note.empty()) (*json)["scale_note"] = e.scale_note;
   if (e.sigma) {
     (*json)["sigma"] = {VectorJson(e.sigma->rotation_deg), VectorJson(e.sigma->translation)};
   }
@@ -42,6 +63,8 @@ void NotesToJson(const PoseEstimate& e, Json* json) {
 }
 
 void NotesFromJson(const Json& json, PoseEstimate* e) {
+  if (json.contains("gnss_scale")) e->gnss_scale = ScaleFrom(json.at("gnss_scale"));
+  e->scale_note = json.value("scale_note", std::string());
   if (json.contains("sigma")) {
     e->sigma = PoseSigma{VectorFrom(json.at("sigma").at(0)), VectorFrom(json.at("sigma").at(1))};
   }
@@ -83,6 +106,7 @@ Json PositionToJson(const TrackedPosition& tracked) {
   if (!e.chain_reason.empty()) json["chain_reason"] = e.chain_reason;
   if (tracked.odometer_m) json["odometer_m"] = *tracked.odometer_m;
   if (tracked.heading_deg) json["heading_deg"] = *tracked.heading_deg;
+  if (tracked.gnss) json["gnss"] = ClueJson(*tracked.gnss);
   NotesToJson(e, &json);
   for (const AdoptedPairs& adopted : tracked.adopted) {
     json["adopted"].push_back({{"from", Value(adopted.from)}, {"features", adopted.features}});
@@ -115,6 +139,7 @@ TrackedPosition PositionFromJson(const Json& json) {
   NotesFromJson(json, &e);
   if (json.contains("odometer_m")) tracked.odometer_m = json.at("odometer_m").get<double>();
   if (json.contains("heading_deg")) tracked.heading_deg = json.at("heading_deg").get<double>();
+  if (json.contains("gnss")) tracked.gnss = ClueFrom(json.at("gnss"));
   if (json.contains("adopted")) {
     for (const Json& entry : json.at("adopted")) {
       tracked.adopted.push_back({PositionId{entry.at("from").get<std::int64_t>()},
@@ -134,6 +159,38 @@ TrackedPosition PositionFromJson(const Json& json) {
   return tracked;
 }
 
+Json FixesJson(const Chain& chain) {
+  Json samples = Json::array();
+  for (const GnssSample& sample : chain.fixes) {
+    samples.push_back({VectorJson(sample.translation), ClueJson(sample.clue)});
+  }
+  Json json = {{"fixes", std::move(samples)},
+               {"seen", chain.fixes_seen},
+               {"spacing", chain.fix_spacing},
+               {"contradicted", chain.contradicted}};
+  if (chain.gnss_scale) json["scale"] = ScaleJson(*chain.gnss_scale);
+  return json;
+}
+
+Status FixesFrom(const Json& json, Chain* chain) {
+  const Json& fixes = json.at("fixes");
+  if (fixes.size() > kMaxFixes) {
+    return Fail(ErrorKind::kData, "pose state: {} fixes, at most {}", fixes.size(), kMaxFixes);
+  }
+  for (const Json& fix : fixes) {
+    chain->fixes.push_back({VectorFrom(fix.at(0)), ClueFrom(fix.at(1))});
+  }
+  chain->fixes_seen = json.at("seen").get<std::int64_t>();
+  chain->fix_spacing = json.at("spacing").get<std::int64_t>();
+  if (chain->fix_spacing < 1) {
+    return Fail(ErrorKind::kData, "pose state: fixes' spacing {}, expected at least 1",
+                chain->fix_spacing);
+  }
+  chain->contradicted = json.at("contradicted").get<bool>();
+  if (json.contains("scale")) chain->gnss_scale = ScaleFrom(json.at("scale"));
+  return {};
+}
+
 }  // namespace
 
 std::string TrackerStateToJson(const TrackerState& state) {
@@ -146,13 +203,17 @@ std::string TrackerStateToJson(const TrackerState& state) {
                       {"metric", chain.metric},
                       {"scaled", chain.scaled},
                       {"given", chain.given},
+                      {"source", ToString(chain.source)},
                       {"unit_from", Value(chain.unit_from)},
                       {"unit_to", Value(chain.unit_to)},
+                      {"unit_length", chain.unit_length},
                       {"path", chain.path}});
+    if (chain.fixes_seen > 0) chains.back()["gnss"] = FixesJson(chain);
   }
   Json keyframes = Json::array();
   for (const KeyframeEntry& entry : state.keyframes) {
-    keyframes.push_back({Value(entry.position), entry.ordinal, entry.chain, entry.crc});
+    keyframes.push_back(
+        {Value(entry.position), entry.ordinal, entry.chain, entry.crc, entry.scale});
   }
   const Json json = {{"version", kVersion},
                      {"next_chain", state.next_chain},
@@ -182,7 +243,12 @@ Result<TrackerState> TrackerStateFromJson(const std::string& text) {
       chain.given = entry.at("given").get<bool>();
       chain.unit_from = PositionId{entry.at("unit_from").get<std::int64_t>()};
       chain.unit_to = PositionId{entry.at("unit_to").get<std::int64_t>()};
+      const auto source = ScaleSourceFromString(entry.at("source").get<std::string>());
+      if (!source) return Fail(ErrorKind::kData, "pose state: unknown source of scale");
+      chain.source = *source;
+      chain.unit_length = entry.at("unit_length").get<double>();
       chain.path = entry.at("path").get<double>();
+      if (entry.contains("gnss")) OMNIHDR_TRY(FixesFrom(entry.at("gnss"), &chain));
       state.chains[entry.at("chain").get<int>()] = chain;
     }
     state.next_group = json.at("next_group").get<int>();
@@ -199,7 +265,7 @@ Result<TrackerState> TrackerStateFromJson(const std::string& text) {
     for (const Json& entry : json.at("keyframes")) {
       state.keyframes.push_back({PositionId{entry.at(0).get<std::int64_t>()},
                                  entry.at(1).get<std::int64_t>(), entry.at(2).get<int>(),
-                                 entry.at(3).get<std::uint32_t>()});
+                                 entry.at(3).get<std::uint32_t>(), entry.at(4).get<double>()});
       if (!state.chains.contains(state.keyframes.back().chain)) {
         return Fail(ErrorKind::kData, "pose state: keyframe {} is of chain {}, which is not listed",
                     Value(state.keyframes.back().position), state.keyframes.back().chain);
@@ -212,7 +278,7 @@ Result<TrackerState> TrackerStateFromJson(const std::string& text) {
     }
     for (const Json& entry : window) {
       state.window.push_back(PositionFromJson(entry));
-      const PoseEstimate& estimate = state.window.back().estimate;
+      PoseEstimate& estimate = state.window.back().estimate;
       if (!(std::fabs(estimate.world_from_camera.rotation.norm() - 1.0) < 1e-6)) {
         return Fail(ErrorKind::kData, "pose state: position {}: \"q\" is not a unit quaternion",
                     Value(estimate.position));
@@ -222,6 +288,7 @@ Result<TrackerState> TrackerStateFromJson(const std::string& text) {
         return Fail(ErrorKind::kData, "pose state: position {} is of chain {}, which is not listed",
                     Value(estimate.position), chain);
       }
+      estimate.scale_source = state.chains.at(chain).source;
     }
     return state;
   } catch (const std::exception& error) {

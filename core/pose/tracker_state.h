@@ -9,6 +9,7 @@
 
 #include "core/base/result.h"
 #include "core/pose/bundle_adjustment.h"
+#include "core/pose/gnss_scale.h"
 #include "core/pose/pose_tracker.h"
 
 namespace omnihdr {
@@ -32,6 +33,7 @@ struct TrackedPosition {
   PoseEstimate estimate;
   std::optional<double> odometer_m;
   std::optional<double> heading_deg;
+  std::optional<GnssClue> gnss;
   bool given = false;        // the pose came from elsewhere and stays
   std::int64_t ordinal = 0;  // how many positions came before
   std::vector<AdoptedPairs> adopted;
@@ -44,11 +46,19 @@ struct Chain {
   bool metric = false;
   bool scaled = false;  // a baseline has been seen, so lengths mean something
   bool given = false;   // its world frame is that of poses known from elsewhere
-  // The baseline of length 1 of a chain without metric scale; the same position twice before
-  // `scaled`.
+  ScaleSource source = ScaleSource::kNone;
+  // The baseline that is the unit of a chain without odometer, and its length: 1, or metres of one
+  // whose scale satellites gave later; the same position twice before `scaled`.
   PositionId unit_from{};
   PositionId unit_to{};
+  double unit_length = 1.0;
   double path = 0.0;  // sum of the steps from position to position
+  // Places with fixes, evenly over the chain: of those, every so-many-th was kept.
+  std::vector<GnssSample> fixes;
+  std::int64_t fixes_seen = 0;
+  std::int64_t fix_spacing = 1;
+  std::optional<GnssScale> gnss_scale;
+  bool contradicted = false;  // told that the fixes contradict it
 };
 
 // A remembered place, without its content.
@@ -57,6 +67,7 @@ struct KeyframeEntry {
   std::int64_t ordinal = 0;
   int chain = 0;
   std::uint32_t crc = 0;  // CRC-32C of its bytes
+  double scale = 1.0;     // the chain's unit in units of those bytes
 };
 
 struct TrackerState {

@@ -40,6 +40,9 @@ Result<GnssFix> ReadGnss(const ObjectReader& line) {
   OMNIHDR_ASSIGN(fix.lat_deg, gnss.Number("lat", -90.0, 90.0, "degrees in [-90, 90]"));
   OMNIHDR_ASSIGN(fix.lon_deg, gnss.Number("lon", -360.0, 360.0, "degrees in [-360, 360]"));
   OMNIHDR_ASSIGN(fix.alt_m, gnss.NumberOr("alt_m", 0.0, -1e7, 1e7, "metres in [-1e7, 1e7]"));
+  if (gnss.Has("sigma_m")) {
+    OMNIHDR_ASSIGN(fix.sigma_m, gnss.Number("sigma_m", 1e-4, 1e6, "metres in [0.0001, 1e6]"));
+  }
   OMNIHDR_ASSIGN(fix.time, gnss.StringOr("time", ""));
   // Who writes a position and says nothing of its quality means it.
   OMNIHDR_ASSIGN(const std::int64_t kind,

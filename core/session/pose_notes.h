@@ -1,6 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <string_view>
 
 #include "core/base/units.h"
 
@@ -12,6 +15,25 @@ namespace omnihdr {
 struct PoseSigma {
   Eigen::Vector3d rotation_deg = Eigen::Vector3d::Zero();  // about the camera's X, Y, Z
   Eigen::Vector3d translation = Eigen::Vector3d::Zero();  // along the world's X, Y, Z; chain's unit
+};
+
+// Where a chain's unit of length comes from.
+enum class ScaleSource : std::uint8_t {
+  kNone,      // its first baseline: relative
+  kOdometer,  // metres driven
+  kGnss,      // satellite fixes along the way
+  kGiven,     // poses known from elsewhere
+};
+std::string_view ToString(ScaleSource source);
+std::optional<ScaleSource> ScaleSourceFromString(std::string_view name);
+
+// What satellite fixes along a chain make of its unit of length.
+struct GnssScale {
+  double metres_per_unit = 1.0;
+  double sigma = 0.0;  // one standard deviation of that
+  int fixes = 0;       // that agree
+  int outliers = 0;    // that do not
+  bool operator==(const GnssScale&) const = default;
 };
 
 // An old place was recognised and the position was put into that place's chain.

@@ -104,6 +104,8 @@ struct GnssFix {
   double alt_m = 0.0;
   std::string time;
   int fix = 0;
+  // One standard deviation of each horizontal axis, as the receiver states it; additive key.
+  std::optional<double> sigma_m = std::nullopt;
 };
 
 // One line of frames.jsonl.

@@ -245,7 +245,9 @@ std::string FormatFrameRecord(const FrameRecord& record) {
   if (record.gnss) {
     ObjectWriter gnss;
     gnss.Add("lat", record.gnss->lat_deg).Add("lon", record.gnss->lon_deg);
-    gnss.Add("alt_m", record.gnss->alt_m).Add("time", record.gnss->time);
+    gnss.Add("alt_m", record.gnss->alt_m);
+    if (record.gnss->sigma_m) gnss.Add("sigma_m", *record.gnss->sigma_m);
+    gnss.Add("time", record.gnss->time);
     gnss.Add("fix", record.gnss->fix);
     json.AddObject("gnss", std::move(gnss));
   }

@@ -229,6 +229,17 @@ Status ReadPoseNotes(const ObjectReader& view, ViewRecord* record) {
     OMNIHDR_ASSIGN(relocalised.matches, ReadCount(object, "matches"));
     record->relocalised = relocalised;
   }
+  if (view.Has("gnss_scale")) {
+    OMNIHDR_ASSIGN(const ObjectReader object, view.Object("gnss_scale"));
+    constexpr double kHuge = std::numeric_limits<double>::max();
+    constexpr std::string_view kExpected = "a number of at least 0";
+    GnssScale scale;
+    OMNIHDR_ASSIGN(scale.metres_per_unit, object.Number("metres_per_unit", 0.0, kHuge, kExpected));
+    OMNIHDR_ASSIGN(scale.sigma, object.Number("sigma", 0.0, kHuge, kExpected));
+    OMNIHDR_ASSIGN(scale.fixes, ReadCount(object, "fixes"));
+    OMNIHDR_ASSIGN(scale.outliers, ReadCount(object, "outliers"));
+    record->gnss_scale = scale;
+  }
   if (view.Has("loop")) {
     OMNIHDR_ASSIGN(const ObjectReader object, view.Object("loop"));
     constexpr double kHuge = std::numeric_limits<double>::max();
@@ -262,6 +273,17 @@ std::string FormatViewRecord(const ViewRecord& record) {
   }
   view.AddObject("pose", std::move(pose));
   view.Add("scale", record.metric_scale ? "metric" : "relative");
+  if (record.scale_source != ScaleSource::kNone) {
+    view.Add("scale_source", std::string(ToString(record.scale_source)));
+  }
+  if (record.gnss_scale) {
+    ObjectWriter gnss;
+    gnss.Add("metres_per_unit", record.gnss_scale->metres_per_unit)
+        .Add("sigma", record.gnss_scale->sigma)
+        .Add("fixes", record.gnss_scale->fixes)
+        .Add("outliers", record.gnss_scale->outliers);
+    view.AddObject("gnss_scale", std::move(gnss));
+  }
   view.Add("chain", record.chain);
   if (!record.chain_reason.empty()) view.Add("chain_reason", record.chain_reason);
   if (!record.dead_reckoned.empty()) view.Add("dead_reckoned", record.dead_reckoned);
@@ -317,6 +339,11 @@ Result<ViewRecord> ParseViewRecord(std::string_view text, const std::string& nam
   OMNIHDR_ASSIGN(const std::string scale, view.String("scale", kScales));
   if (scale != "metric" && scale != "relative") return view.Wrong("scale", kScales);
   record.metric_scale = scale == "metric";
+  constexpr std::string_view kSources = "\"odometer\", \"gnss\", \"given\" or \"none\"";
+  OMNIHDR_ASSIGN(const std::string unit_from, view.StringOr("scale_source", "none"));
+  const std::optional<ScaleSource> known_source = ScaleSourceFromString(unit_from);
+  if (!known_source) return view.Wrong("scale_source", kSources);
+  record.scale_source = *known_source;
   OMNIHDR_ASSIGN(const std::int64_t chain,
                  view.IntegerOr("chain", 0, 0, INT32_MAX, "a whole number in [0, 2147483647]"));
   record.chain = static_cast<int>(chain);

@@ -19,8 +19,11 @@ struct ViewRecord {
   PositionId position{};
   Pose pose;                  // world_from_camera
   bool metric_scale = false;  // scale: "metric" or "relative"
-  int chain = 0;              // positions of different chains have no common world; additive key
-  std::string chain_reason;   // why a new chain began here, empty when it did not
+  // Additive keys: where the metres come from, and what satellite fixes say of the unit.
+  ScaleSource scale_source = ScaleSource::kNone;
+  std::optional<GnssScale> gnss_scale;
+  int chain = 0;             // positions of different chains have no common world; additive key
+  std::string chain_reason;  // why a new chain began here, empty when it did not
   // Additive keys: of the pose, and beside it.
   std::optional<PoseSigma> sigma;
   std::string dead_reckoned;  // why heading and odometer had to give the pose, empty else

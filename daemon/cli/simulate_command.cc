@@ -169,6 +169,11 @@ void AddSimulateCommand(CLI::App& app, CommandRun& run) {
       ->capture_default_str();
   command->add_flag("--no-odometer", arguments->no_odometer,
                     "leave the odometer out of the journal");
+  command
+      ->add_option("--gnss-sigma", options.gnss_sigma_m,
+                   "satellite fixes in the journal, with noise of so many metres; 0 = none")
+      ->check(CLI::Range(0.0, 1000.0))
+      ->capture_default_str();
   command->add_flag("-q,--quiet", arguments->quiet, "no line per frame");
   command->callback([arguments, &run] { run = [arguments] { return Simulate(*arguments); }; });
 }

@@ -18,6 +18,7 @@
 #include "core/photometry/mosaic.h"
 #include "core/session/journal.h"
 #include "core/session/rig_file.h"
+#include "core/sphere/geodesy.h"
 #include "drivers/sim/rig_optics.h"
 
 namespace omnihdr::sim {
@@ -47,6 +48,30 @@ Result<std::vector<std::byte>> MoverMask(const Image<float>& share) {
     for (int x = 0; x < share.width(); ++x) mask.at(x, y) = share.at(x, y) > 0.0F ? 255 : 0;
   }
   return EncodePng(mask.view());
+}
+
+// Where the scenes lie: X is east, Y north.
+constexpr GeodeticPlace kOrigin{45.4, -75.7, 70.0};
+
+// A receiver's fix at a place; equal arguments give equal fixes.
+GnssFix FixAt(const Eigen::Vector3d& place, double sigma_m, std::uint64_t seed) {
+  Random random(seed * 6151 + 389);
+  const auto normal = [&random] {
+    double sum = -6.0;
+    for (int k = 0; k < 12; ++k) sum += static_cast<double>(random.Unit());
+    return sum;
+  };
+  const double east = sigma_m * normal();
+  const double north = sigma_m * normal();
+  const double up = 2.0 * sigma_m * normal();
+  const GeodeticPlace at = PlaceAt(kOrigin, place + Eigen::Vector3d(east, north, up));
+  GnssFix fix;
+  fix.lat_deg = at.lat_deg;
+  fix.lon_deg = at.lon_deg;
+  fix.alt_m = at.alt_m;
+  fix.sigma_m = sigma_m;
+  fix.fix = 1;
+  return fix;
 }
 
 // The number at a key: absent keeps `value`, another type is an error.
@@ -215,6 +240,7 @@ Status SimulateOptions::Validate() const {
   OMNIHDR_TRY(simulation.Validate());
   OMNIHDR_TRY(Check("positions", positions, 1, 100000));
   OMNIHDR_TRY(Check("spacing_m", spacing_m, 0.0, 100.0));
+  OMNIHDR_TRY(Check("gnss_sigma_m", gnss_sigma_m, 0.0, 1000.0));
   return {};
 }
 
@@ -287,6 +313,10 @@ Status WriteSimulatedSession(const std::filesystem::path& directory, const Simul
           record.trigger_time +
           Nanoseconds(static_cast<std::int64_t>(record.exposure.time.seconds() * 0.5e9));
       if (options.write_odometer) record.odometer_m = odometer;
+      if (options.gnss_sigma_m > 0.0) {
+        record.gnss = FixAt(pose.translation, options.gnss_sigma_m,
+                            simulation.sensor.seed * 1'000'003 + number);
+      }
       record.proof = ExposureProof::kEmbedded;
       record.truth_json = FormatTruth(simulation, pose, odometer);
       const Image<std::uint8_t> pixels =

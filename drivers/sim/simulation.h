@@ -68,6 +68,9 @@ struct SimulateOptions {
   int positions = 9;       // 1 to 100000
   double spacing_m = 0.3;  // between positions, 0 to 100
   bool write_odometer = true;
+  // Satellite fixes with normal noise of so many metres on each horizontal axis, twice that in
+  // height; 0 = none.
+  double gnss_sigma_m = 0.0;
   std::string created;  // ISO 8601 for session.json; empty = now
   Status Validate() const;
 };

@@ -3,12 +3,14 @@
 #include <gtest/gtest.h>
 #include <unistd.h>
 
+#include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
 #include <string>
 
 #include "core/base/file.h"
 #include "core/session/session_reader.h"
+#include "core/sphere/geodesy.h"
 
 namespace omnihdr::sim::simulation_test {
 namespace {
@@ -79,6 +81,32 @@ TEST_F(SimulatedSession, TheJournalCarriesTheTruthAndTheOdometerOnlyWhenWanted) 
                   pose.translation[axis], 1e-12);
     }
   }
+}
+
+TEST_F(SimulatedSession, FixesAreWhereTheCameraIsToWithinTheirStatedNoise) {
+  options_.gnss_sigma_m = 0.5;
+  options_.positions = 12;
+  options_.spacing_m = 2.0;
+  ASSERT_TRUE(WriteSimulatedSession(root_, options_, {}));
+  const Result<SessionContents> session = ReadSession(root_);
+  ASSERT_TRUE(session) << session.error().message;
+  const auto world = World::Create(options_.simulation.scene, options_.simulation.seed);
+  const auto place = [&](std::size_t i) {
+    const GnssFix& fix = *session->journal.frames[i].gnss;
+    return GeodeticPlace{fix.lat_deg, fix.lon_deg, fix.alt_m};
+  };
+  double squares = 0.0;
+  for (std::size_t i = 1; i < 12; ++i) {
+    ASSERT_TRUE(session->journal.frames[i].gnss);
+    EXPECT_EQ(session->journal.frames[i].gnss->sigma_m, 0.5);
+    const Eigen::Vector3d driven =
+        world->PoseAt(2.0 * static_cast<double>(i)).translation - world->PoseAt(0.0).translation;
+    const Eigen::Vector3d off = EastNorthUp(place(0), place(i)) - driven;
+    squares += off.head<2>().squaredNorm();
+  }
+  // Two fixes with noise on two axes each.
+  EXPECT_GT(std::sqrt(squares / 11 / 4), 0.2);
+  EXPECT_LT(std::sqrt(squares / 11 / 4), 1.0);
 }
 
 TEST(Simulation, ItsJsonComesBackAndWrongValuesAreNamed) {

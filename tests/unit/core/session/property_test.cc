@@ -84,6 +84,7 @@ FrameRecord AnyRecord() {
   if (Coin()) {
     record.gnss = GnssFix{AnyDouble(-90, 90), AnyDouble(-180, 180), AnyDouble(-1e4, 1e5), AnyText(),
                           static_cast<int>(AnyInteger(0, 256))};
+    if (Coin()) record.gnss->sigma_m = AnyDouble(0.001, 1e4);
   }
   if (Coin()) record.heading_deg = AnyDouble(-360, 360);
   if (Coin()) record.pose = AnyPose();
@@ -120,6 +121,7 @@ RC_GTEST_PROP(SessionProperty, AFrameRecordReadsBackExactlyAsWritten, ()) {
     RC_ASSERT(read.gnss->alt_m == written.gnss->alt_m);
     RC_ASSERT(read.gnss->time == written.gnss->time);
     RC_ASSERT(read.gnss->fix == written.gnss->fix);
+    RC_ASSERT(read.gnss->sigma_m == written.gnss->sigma_m);
   }
   RC_ASSERT(read.heading_deg == written.heading_deg);
   RC_ASSERT(read.pose.has_value() == written.pose.has_value());
@@ -206,6 +208,13 @@ RC_GTEST_PROP(SessionProperty, AViewRecordReadsBackExactlyAsWritten, ()) {
   written.position = PositionId{AnyInteger(0, 1'000'000'000)};
   written.pose = AnyPose();
   written.metric_scale = Coin();
+  written.scale_source = *rc::gen::element(ScaleSource::kNone, ScaleSource::kOdometer,
+                                           ScaleSource::kGnss, ScaleSource::kGiven);
+  if (Coin()) {
+    written.gnss_scale =
+        GnssScale{AnyDouble(0, 1e3), AnyDouble(0, 1e3), static_cast<int>(AnyInteger(0, 100)),
+                  static_cast<int>(AnyInteger(0, 100))};
+  }
   written.chain = static_cast<int>(AnyInteger(0, 1000));
   written.chain_reason = AnyText();
   if (Coin()) {
@@ -247,6 +256,8 @@ RC_GTEST_PROP(SessionProperty, AViewRecordReadsBackExactlyAsWritten, ()) {
   RC_ASSERT(read->position == written.position);
   RC_ASSERT(Same(read->pose, written.pose));
   RC_ASSERT(read->metric_scale == written.metric_scale);
+  RC_ASSERT(read->scale_source == written.scale_source);
+  RC_ASSERT(read->gnss_scale == written.gnss_scale);
   RC_ASSERT(read->chain == written.chain);
   RC_ASSERT(read->chain_reason == written.chain_reason);
   RC_ASSERT(read->sigma.has_value() == written.sigma.has_value());

@@ -88,6 +88,10 @@ TEST(ViewRecord, WhatIsSaidOfAPoseIsReadAndWhatCannotBeIsRefused) {
            std::pair(with(R"("sigma_rotation_deg": [1, 2, 3], "sigma_t": [1, -2, 3])", ""),
                      "pose.sigma_t: [1,-2,3], expected three numbers of at least 0"),
            std::pair(with(sigma, R"("relocalised": {"place": -1},)"), "relocalised.place: -1"),
+           std::pair(with(sigma, R"("scale_source": "hope",)"),
+                     "scale_source: \"hope\", expected \"odometer\", \"gnss\""),
+           std::pair(with(sigma, R"("gnss_scale": {"metres_per_unit": -1},)"),
+                     "gnss_scale.metres_per_unit: -1"),
            std::pair(with(sigma, R"("loop": {"place": 1, "seen_from": 3, "matches": 9},)"),
                      "loop.drift_rotation_deg: missing"),
        }) {
