@@ -1,6 +1,7 @@
 #include "core/pipeline/frame_measurer.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "core/image/image_io.h"
@@ -10,6 +11,20 @@
 
 namespace omnihdr {
 namespace {
+
+// Samples of a mosaic's colour stand further apart than its pixels.
+constexpr double kMosaicSpacing = 1.4;
+
+PanoramaOptics OpticsOf(const Rig& rig, int width) {
+  double square = 0.0;
+  bool is_mosaic = false;
+  for (const RigSensor& sensor : rig.sensors) {
+    square += sensor.camera_from_sensor.translation.squaredNorm();
+    is_mosaic = is_mosaic || sensor.bayer != BayerOrder::kNone;
+  }
+  return {static_cast<double>(width) / (is_mosaic ? kMosaicSpacing : 1.0),
+          std::sqrt(square / static_cast<double>(rig.sensors.size()))};
+}
 
 Status CheckRig(const Rig& rig, const std::filesystem::path& rig_file, const SessionInfo& info,
                 const std::filesystem::path& info_file) {
@@ -44,6 +59,7 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   FrameMeasurer measurer;
   measurer.bits_ = camera.bits;
   measurer.responses_ = {info.response};
+  measurer.optics_.columns = camera.width;
   if (camera.layout != Layout::kRig) {
     measurer.projection_ = camera.layout == Layout::kPanorama
                                ? camera.PanoramaProjection()
@@ -69,6 +85,7 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   }
   const int width = NaturalPanoramaWidth(rig);
   measurer.projection_ = Projection::Equirectangular(width, width / 2);
+  measurer.optics_ = OpticsOf(rig, width);
   if (std::any_of(rig.sensors.begin(), rig.sensors.end(),
                   [](const RigSensor& s) { return !s.response_json.empty(); })) {
     measurer.responses_.clear();

@@ -13,6 +13,7 @@
 #include "core/photometry/measure.h"
 #include "core/photometry/stitch.h"
 #include "core/session/session.h"
+#include "core/stereo/confidence.h"
 
 namespace omnihdr {
 
@@ -37,6 +38,7 @@ class FrameMeasurer {
 
   // Of the measurements.
   const Projection& projection() const { return projection_; }
+  const PanoramaOptics& optics() const { return optics_; }
   // The frames' own mask, of a rig with its lens masks: empty when there is none.
   ImageView<const std::uint8_t> frame_mask() const { return mask_.view(); }
 
@@ -44,6 +46,7 @@ class FrameMeasurer {
   FrameMeasurer() = default;
 
   Projection projection_;
+  PanoramaOptics optics_;
   int bits_ = 8;
   std::vector<Response> responses_;  // one, or one a sensor
   Image<std::uint8_t> mask_;         // of the frames as recorded

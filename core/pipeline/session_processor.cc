@@ -271,6 +271,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     input.prior = loaded->reference.pose;
     input.heading_deg = loaded->reference.heading_deg;
     input.gnss = ClueFromFix(loaded->reference.gnss);
+    input.optics = measurer_->optics();
     std::optional<FinishedView> finished =
         pipeline_->Push(std::move(input), WantView(), quality_level);
     if (finished) {

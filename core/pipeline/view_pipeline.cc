@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <numbers>
 
@@ -311,6 +312,25 @@ DisparityMap ViewPipeline::RefineMap(std::size_t index, const PipelineOptions& o
   return fused;
 }
 
+DisparityPrecision ViewPipeline::PrecisionOf(std::size_t index) const {
+  const Slot& slot = slots_[index];
+  DisparityPrecision precision;
+  precision.columns = slot.input.optics.columns;
+  const std::vector<std::size_t> beside = Neighbours(index, 1);
+  for (const std::size_t n : beside) {
+    precision.baseline +=
+        OffsetInWorld(slot.pose.world_from_camera, slots_[n].pose.world_from_camera).norm() /
+        static_cast<double>(beside.size());
+  }
+  // How large the head is in an unknown unit is not known.
+  const double metres_per_unit =
+      slot.pose.metric ? 1.0
+                       : (slot.pose.gnss_scale ? slot.pose.gnss_scale->metres_per_unit
+                                               : std::numeric_limits<double>::infinity());
+  precision.viewpoint = slot.input.optics.viewpoint_m / metres_per_unit;
+  return precision;
+}
+
 FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, int quality_level) {
   Slot& slot = slots_[index];
   FinishedView view;
@@ -407,7 +427,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
                         ? options_.output_width
                         : std::min(slot.input.measurement.radiance.width() / 2 * 2, 8192);
   view.merged = MergeViews(reference, slot.fused.get(), others, world_from_output, width, merge);
-  CalibrateConfidence(view.merged.disparity, &view.merged.confidence);
+  CalibrateConfidence(view.merged.disparity, PrecisionOf(index), &view.merged.confidence);
   const std::string exposure = DescribeExposureTest(view.merged.exposure, merge);
   if (!exposure.empty()) view.warnings.push_back(exposure);
   view.merge_s = merge_time.Seconds();

@@ -13,6 +13,7 @@
 #include "core/pipeline/options.h"
 #include "core/pose/pose_tracker.h"
 #include "core/session/session.h"
+#include "core/stereo/confidence.h"
 #include "core/stereo/sgm.h"
 #include "core/stereo/stereo_view.h"
 #include "core/stereo/sweep.h"
@@ -30,6 +31,7 @@ struct PositionInput {
   std::optional<Pose> prior;
   std::optional<double> heading_deg;  // see PositionClues
   std::optional<GnssClue> gnss;
+  PanoramaOptics optics;
 };
 
 // A finished view, not yet on disk.
@@ -129,6 +131,8 @@ class ViewPipeline {
   // Raises `level` to that of the neighbours' maps used.
   DisparityMap RefineMap(std::size_t index, const PipelineOptions& options, int* level);
   double SearchLimit(std::size_t index, const std::vector<std::size_t>& neighbours) const;
+  // Of a slot's disparity.
+  DisparityPrecision PrecisionOf(std::size_t index) const;
   std::string SaveState(PositionId after) const;
 
   PipelineOptions options_;

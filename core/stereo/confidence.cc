@@ -31,6 +31,15 @@ constexpr std::array<Knot, 8> kMeasured = {{{0.05F, 0.22F},
 constexpr float kOfFilled = 0.48F;
 constexpr float kLeastScore = 0.02F;  // below: filled
 
+constexpr double kPixel = 2.0 * std::numbers::pi / 1536.0;  // of parallax
+constexpr double kMatchError = 0.17;                        // columns
+constexpr double kMeasuredColumns = 800.0;                  // of the drives measured, in the mean
+
+// Share of a normal distribution within a pixel of its mean.
+double WithinOnePixel(double sigma_px) {
+  return std::erf(1.0 / (std::numbers::sqrt2 * std::max(sigma_px, 1e-3)));
+}
+
 constexpr int kAreaRadius = 4;            // of the square that has to agree, in map pixels
 constexpr double kLeastAreaShare = 0.75;  // of that square's pixels
 
@@ -73,12 +82,24 @@ float ProbabilityRight(float score) {
   return kMeasured.back().probability;
 }
 
-void CalibrateConfidence(const Image<float>& disparity, Image<float>* confidence) {
+float DisparityPrecision::Within(float disparity) const {
+  const double by_match = kMatchError * 1536.0 / columns;
+  // Of 1/r, when r is off by the viewpoint's distance.
+  const double d = static_cast<double>(disparity);
+  const double by_head = d * d * viewpoint * baseline / kPixel;
+  const double share = WithinOnePixel(std::hypot(by_match, by_head)) /
+                       WithinOnePixel(kMatchError * 1536.0 / kMeasuredColumns);
+  return static_cast<float>(std::min(share, 1.0));
+}
+
+void CalibrateConfidence(const Image<float>& disparity, const DisparityPrecision& precision,
+                         Image<float>* confidence) {
   ParallelFor(disparity.height(), 16, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       for (int x = 0; x < disparity.width(); ++x) {
         float& c = confidence->at(x, y);
-        c = disparity.at(x, y) >= 0.0F ? ProbabilityRight(c) : 0.0F;
+        const float d = disparity.at(x, y);
+        c = d >= 0.0F ? ProbabilityRight(c) * precision.Within(d) : 0.0F;
       }
     }
   });

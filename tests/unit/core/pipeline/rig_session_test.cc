@@ -158,6 +158,19 @@ class RigMeasurer : public ::testing::Test {
   SessionInfo info_;
 };
 
+TEST_F(RigMeasurer, TellsHowFineAndHowLargeTheHeadIs) {
+  const FrameMeasurer measurer = FrameMeasurer::Open(path(), info_).value();
+  double square = 0.0;
+  for (const RigSensor& sensor : rig_.sensors) {
+    square += sensor.camera_from_sensor.translation.squaredNorm();
+  }
+  EXPECT_NEAR(measurer.optics().viewpoint_m,
+              std::sqrt(square / static_cast<double>(rig_.sensors.size())), 1e-12);
+  // A mosaic's colours stand apart.
+  EXPECT_LE(measurer.optics().columns, measurer.projection().width());
+  EXPECT_GT(measurer.optics().columns, 0.5 * measurer.projection().width());
+}
+
 TEST_F(RigMeasurer, WithoutItsCalibrationASessionIsRefused) {
   fs::remove(path() / "rig.toml");
   EXPECT_THAT(Refusal(), HasSubstr("rig.toml"));

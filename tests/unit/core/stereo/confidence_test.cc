@@ -4,6 +4,8 @@
 
 #include <cmath>
 #include <limits>
+#include <numbers>
+#include <random>
 
 namespace omnihdr::confidence_test {
 namespace {
@@ -55,9 +57,51 @@ TEST(CalibrateConfidence, WhatIsNotKnownHasNone) {
   Image<float> disparity(2, 1, 1, 0.5F);
   disparity.at(1, 0) = std::numeric_limits<float>::quiet_NaN();
   Image<float> confidence(2, 1, 1, 0.7F);
-  CalibrateConfidence(disparity, &confidence);
+  const DisparityPrecision fine{1536.0, 0.0, 0.3};
+  CalibrateConfidence(disparity, fine, &confidence);
   EXPECT_EQ(confidence.at(0, 0), ProbabilityRight(0.7F));
   EXPECT_EQ(confidence.at(1, 0), 0.0F);
+}
+
+TEST(DisparityPrecision, APanoramaAsFineAsThoseMeasuredTakesNothingAwayAndACoarseOneMore) {
+  EXPECT_EQ((DisparityPrecision{1024.0, 0.0, 0.3}.Within(0.5F)), 1.0F);
+  float last = 1.0F;
+  for (const double columns : {512.0, 256.0, 128.0}) {
+    const float share = DisparityPrecision{columns, 0.0, 0.3}.Within(0.5F);
+    EXPECT_LT(share, last) << columns;
+    last = share;
+  }
+  // A normal error of 2.04 of the pixels that count.
+  EXPECT_NEAR(last, 0.376F, 0.01F);
+}
+
+TEST(DisparityPrecision, AHeadsSizeTellsAgainstWhatIsNearAndOnlyWithABaseline) {
+  const DisparityPrecision head{1024.0, 0.044, 0.3};
+  EXPECT_GT(head.Within(0.1F), 0.99F);
+  EXPECT_GT(head.Within(0.3F), head.Within(0.7F));
+  // At 1 m the parallax of 73 pixels is off by 3.2.
+  EXPECT_NEAR(head.Within(1.0F), 0.24F, 0.02F);
+  EXPECT_EQ((DisparityPrecision{1024.0, 0.044, 0.0}.Within(1.0F)), 1.0F);
+}
+
+// Errors drawn as a head of sensors makes them are as often within a pixel as is said.
+TEST(DisparityPrecision, SaysTheShareThatIsRight) {
+  const DisparityPrecision precision{600.0, 0.05, 0.25};
+  const double pixel = 2.0 * std::numbers::pi / 1536.0;
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  for (const double d : {0.1, 0.5, 0.9}) {
+    int right = 0;
+    constexpr int kTrials = 20'000;
+    for (int i = 0; i < kTrials; ++i) {
+      const double match = 0.17 * 1536.0 / 600.0 * normal(random);
+      const double head = (1.0 / (1.0 / d + 0.05 * normal(random)) - d) * 0.25 / pixel;
+      right += std::fabs(match + head) <= 1.0 ? 1 : 0;
+    }
+    EXPECT_NEAR(static_cast<double>(precision.Within(static_cast<float>(d))),
+                static_cast<double>(right) / kTrials, 0.02)
+        << d;
+  }
 }
 
 SweepNeighbour Beside(const StereoView& view, float y) {
