@@ -33,11 +33,6 @@ struct Endpoint {
   std::string Name() const;  // "tcp 192.0.2.7:502 unit 1", for messages
 };
 
-// A connected TCP socket that does not block; kUnavailable or kTemporary within `timeout`.
-Result<Fd> ConnectTcp(const std::string& address, int port, Nanoseconds timeout);
-// A listening TCP socket that does not block. Port 0 = any free one.
-Result<Fd> ListenTcp(const std::string& address, int port);
-int LocalPort(int fd);  // of a socket; 0 when there is none
 // A serial device in raw mode that does not block, its input thrown away.
 Result<Fd> OpenSerial(const Endpoint& endpoint);
 

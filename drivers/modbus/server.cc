@@ -12,6 +12,8 @@
 #include <cerrno>
 #include <utility>
 
+#include "core/base/tcp.h"
+
 namespace omnihdr::modbus {
 namespace {
 

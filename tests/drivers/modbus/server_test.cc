@@ -6,6 +6,7 @@
 
 #include <random>
 
+#include "core/base/tcp.h"
 #include "tests/drivers/modbus/slave.h"
 
 namespace omnihdr::server_test {
@@ -43,7 +44,7 @@ class ModbusServer : public ::testing::Test {
     modbus_free(master);
   }
   Fd Raw() const {
-    Result<Fd> fd = modbus::ConnectTcp("127.0.0.1", server->port(), std::chrono::seconds(2));
+    Result<Fd> fd = ConnectTcp("127.0.0.1", server->port(), std::chrono::seconds(2));
     return fd ? std::move(*fd) : Fd();
   }
   // Whether the server has hung up, within its patience.
@@ -214,10 +215,10 @@ TEST_F(ModbusServer, NoBytesWhateverTheyAreStopItsService) {
 }
 
 TEST_F(ModbusServer, APortThatIsTakenIsToldAndTriedAgain) {
-  Result<Fd> taken = modbus::ListenTcp("127.0.0.1", 0);
+  Result<Fd> taken = ListenTcp("127.0.0.1", 0);
   ASSERT_TRUE(taken);
   modbus::ServerOptions options;
-  options.endpoint.port = modbus::LocalPort(taken->get());
+  options.endpoint.port = LocalPort(taken->get());
   server = std::make_unique<modbus::Server>(options, CommandHandler{}, clock);
   ASSERT_TRUE(server->Start());
   EXPECT_TRUE(Eventually([&] { return server->report().errors > 0; }));

@@ -16,7 +16,7 @@
 #include <thread>
 
 #include "core/base/file.h"
-#include "drivers/modbus/connection.h"
+#include "core/base/tcp.h"
 
 namespace omnihdr::testing_modbus {
 
@@ -65,7 +65,7 @@ class Slave {
   void StartTcp(int port = 0) {
     context_ = modbus_new_tcp("127.0.0.1", port);
     listener_ = modbus_tcp_listen(context_, 1);
-    port_ = modbus::LocalPort(listener_);
+    port_ = LocalPort(listener_);
     Prepare();
     thread_ = std::jthread([this](std::stop_token stop) {
       while (!stop.stop_requested()) {
