@@ -51,7 +51,7 @@ std::optional<double> MotionTrack::At(HostTime time) const {
   if (time >= newest.time) {
     if (time - newest.time >= options_.valid) return std::nullopt;
     if (!options_.extrapolate) return newest.metres;
-    return newest.metres + speed_m_s_ * Seconds(time - newest.time);
+    return newest.metres + speed_m_s_ * Seconds(std::min(time - newest.time, options_.ahead));
   }
   const auto after =
       std::upper_bound(readings_.begin(), readings_.end(), time,
@@ -78,7 +78,8 @@ std::optional<HostTime> MotionTrack::TimeAt(double metres) const {
   }
   if (!options_.extrapolate || !(speed_m_s_ > 0.0)) return std::nullopt;
   const double seconds = (metres - newest.metres) / speed_m_s_;
-  if (!(seconds * 1e9 < 9e17) || seconds >= Seconds(options_.valid)) return std::nullopt;
+  const double most = Seconds(std::min(options_.valid, options_.ahead));
+  if (!(seconds * 1e9 < 9e17) || seconds >= most) return std::nullopt;
   return newest.time + Nanoseconds(static_cast<Nanoseconds::rep>(std::ceil(seconds * 1e9)));
 }
 

@@ -16,6 +16,8 @@ struct MotionTrackOptions {
   // Whether the way is taken to go on at the present speed between readings; otherwise it stays
   // where the newest reading is (a counter that tells only changes).
   bool extrapolate = true;
+  // How long after the newest reading it goes on: when the next one does not come, it stays there.
+  Nanoseconds ahead{std::numeric_limits<Nanoseconds::rep>::max()};
 };
 
 // The recent readings of an odometer, in order of time, and what follows from them for the moments

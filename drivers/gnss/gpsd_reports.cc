@@ -1,17 +1,16 @@
 #include "drivers/gnss/gpsd_reports.h"
 
-#include <fmt/format.h>
-#include <gps.h>
-
+#include <algorithm>
 #include <cmath>
-#include <ctime>
+#include <nlohmann/json.hpp>
 #include <utility>
-#include <vector>
 
 namespace omnihdr::gnss {
 namespace {
 
-// gpsd's "status" by number: the names differ from version to version of its header.
+using Json = nlohmann::json;
+
+// From gpsd's "status".
 int GgaQuality(int status) {
   switch (status) {
     case 2:
@@ -34,76 +33,90 @@ int GgaQuality(int status) {
   }
 }
 
-std::string Iso(const timespec& time) {
-  std::tm utc{};
-  if (gmtime_r(&time.tv_sec, &utc) == nullptr) return {};
-  return fmt::format("{:04}-{:02}-{:02}T{:02}:{:02}:{:02}.{:03}Z", utc.tm_year + 1900,
-                     utc.tm_mon + 1, utc.tm_mday, utc.tm_hour, utc.tm_min, utc.tm_sec,
-                     time.tv_nsec / 1'000'000);
+// A finite number of a report; nothing when there is none of that name or it is something else.
+std::optional<double> Number(const Json& report, const char* name) {
+  const auto found = report.find(name);
+  if (found == report.end() || !found->is_number()) return std::nullopt;
+  const double value = found->get<double>();
+  if (!std::isfinite(value)) return std::nullopt;
+  return value;
 }
 
-std::optional<double> NotNegative(double value) {
-  if (std::isfinite(value) && value >= 0.0 && value <= 1e9) return value;
+std::optional<double> NotNegative(std::optional<double> value) {
+  if (value && *value >= 0.0 && *value <= 1e9) return value;
   return std::nullopt;
+}
+
+// "2026-01-01T12:00:13.250Z" with any number of decimals; empty when it is not like that.
+std::string Time(const Json& report) {
+  const auto found = report.find("time");
+  if (found == report.end() || !found->is_string()) return {};
+  const auto& text = found->get_ref<const std::string&>();
+  const std::string_view pattern = "dddd-dd-ddTdd:dd:dd";
+  if (text.size() <= pattern.size() || text.size() > 32 || text.back() != 'Z') return {};
+  const auto digit = [](char c) { return c >= '0' && c <= '9'; };
+  for (std::size_t i = 0; i < pattern.size(); ++i) {
+    if (pattern[i] == 'd' ? !digit(text[i]) : text[i] != pattern[i]) return {};
+  }
+  const std::string_view decimals =
+      std::string_view(text).substr(pattern.size(), text.size() - pattern.size() - 1);
+  const bool fits = decimals.empty() || (decimals[0] == '.' && decimals.size() > 1 &&
+                                         std::all_of(decimals.begin() + 1, decimals.end(), digit));
+  return fits ? text : std::string();
 }
 
 }  // namespace
 
-ReportParser::ReportParser() : data_(std::make_unique<gps_data_t>()) {}
-ReportParser::~ReportParser() = default;
-
 std::optional<Report> ReportParser::Parse(std::string_view line, HostTime now) {
   if (line.empty()) return std::nullopt;
-  // libgps looks for these itself, too; what is none of them needs no look.
-  const auto is = [line](std::string_view name) {
-    return line.starts_with("{\"class\":\"" + std::string(name) + "\"");
-  };
-  if (is("PPS")) {
-    last_pps_ = now;
-    return std::nullopt;
-  }
-  if (is("VERSION")) greeted_ = true;
-  if (!is("TPV")) {
-    if (!line.starts_with("{\"class\":\"")) ++errors_;
-    return std::nullopt;
-  }
-  // What the line before said and this one does not is not to stay.
-  *data_ = gps_data_t{};
-  gps_clear_fix(&data_->fix);
-  std::vector<char> text(line.begin(), line.end());
-  text.push_back('\0');
-  if (gps_unpack(text.data(), data_.get()) != 0 || (data_->set & MODE_SET) == 0) {
+  const Json json = Json::parse(line, nullptr, false);
+  const auto name = json.is_object() ? json.find("class") : json.end();
+  if (!json.is_object() || name == json.end() || !name->is_string()) {
     ++errors_;
     return std::nullopt;
   }
-  const gps_fix_t& from = data_->fix;
-  Report report;
-  if (std::isfinite(from.track)) report.track_deg = from.track;
-  if (std::isfinite(from.speed)) report.speed_m_s = from.speed;
-  const bool placed =
-      from.mode >= MODE_2D && std::abs(from.latitude) <= 90.0 && std::abs(from.longitude) <= 360.0;
-  if (!placed) return report;
-  GnssFix fix;
-  fix.lat_deg = from.latitude;
-  fix.lon_deg = from.longitude;
-  const double height = std::isfinite(from.altMSL) ? from.altMSL : from.altHAE;
-  if (from.mode >= MODE_3D && std::abs(height) < 1e7) {
-    fix.alt_m = height;
-    fix.dimensions = 3;
-  } else {
-    fix.dimensions = 2;
+  const auto& kind = name->get_ref<const std::string&>();
+  if (kind == "PPS") last_pps_ = now;
+  if (kind == "VERSION") greeted_ = true;
+  if (kind != "TPV") return std::nullopt;
+  const std::optional<double> mode = Number(json, "mode");
+  if (!mode) {
+    ++errors_;
+    return std::nullopt;
   }
-  fix.fix = GgaQuality(from.status);
-  if (from.time.tv_sec > 0) {
-    fix.time = Iso(from.time);
+  Report report;
+  report.track_deg = Number(json, "track");
+  report.speed_m_s = Number(json, "speed");
+  const std::optional<double> lat = Number(json, "lat");
+  const std::optional<double> lon = Number(json, "lon");
+  if (*mode < 2.0 || !lat || !lon || std::abs(*lat) > 90.0 || std::abs(*lon) > 360.0) {
+    return report;
+  }
+  GnssFix fix;
+  fix.lat_deg = *lat;
+  fix.lon_deg = *lon;
+  std::optional<double> height = Number(json, "altMSL");
+  // "alt" is what gpsd said before it told the two apart.
+  for (const char* other : {"altHAE", "alt"}) {
+    if (!height) height = Number(json, other);
+  }
+  fix.dimensions = 2;
+  if (*mode >= 3.0 && height && std::abs(*height) < 1e7) {
+    fix.alt_m = *height;
+    fix.dimensions = 3;
+  }
+  const double status = std::clamp(Number(json, "status").value_or(0.0), 0.0, 100.0);
+  fix.fix = GgaQuality(static_cast<int>(status));
+  fix.time = Time(json);
+  if (!fix.time.empty()) {
     const bool pulses = last_pps_ && now - *last_pps_ < std::chrono::seconds(3);
     fix.time_source = pulses ? "gnss+pps" : "gnss";
-    fix.time_error_s = NotNegative(from.ept);
+    fix.time_error_s = NotNegative(Number(json, "ept"));
   }
-  fix.error_m = NotNegative(from.eph);
-  if (!fix.error_m && std::isfinite(from.epx) && std::isfinite(from.epy)) {
-    fix.error_m = NotNegative(std::hypot(from.epx, from.epy));
-  }
+  fix.error_m = NotNegative(Number(json, "eph"));
+  const std::optional<double> east = Number(json, "epx");
+  const std::optional<double> north = Number(json, "epy");
+  if (!fix.error_m && east && north) fix.error_m = NotNegative(std::hypot(*east, *north));
   report.fix = std::move(fix);
   return report;
 }

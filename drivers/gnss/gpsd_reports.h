@@ -2,15 +2,12 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
 
 #include "core/base/clock.h"
 #include "core/session/session.h"
-
-struct gps_data_t;
 
 namespace omnihdr::gnss {
 
@@ -21,11 +18,9 @@ struct Report {
   std::optional<double> speed_m_s;
 };
 
-// gpsd's reports, one JSON object a line, as libgps understands them. Not thread-safe.
+// gpsd's reports, one JSON object a line. Not thread-safe.
 class ReportParser {
  public:
-  ReportParser();
-  ~ReportParser();
   // The text of one line. Nothing when it says nothing of position (satellites, devices, ...), or
   // is not understood, which errors() counts.
   std::optional<Report> Parse(std::string_view line, HostTime now);
@@ -34,7 +29,6 @@ class ReportParser {
   bool greeted() const { return greeted_; }
 
  private:
-  std::unique_ptr<gps_data_t> data_;
   std::optional<HostTime> last_pps_;
   std::uint64_t errors_ = 0;
   bool greeted_ = false;

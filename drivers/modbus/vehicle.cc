@@ -9,6 +9,7 @@ namespace omnihdr::modbus {
 namespace {
 
 constexpr Nanoseconds kFirstPause = std::chrono::milliseconds(200);
+constexpr Nanoseconds kLeastAhead = std::chrono::milliseconds(100);
 constexpr double kMovingMetresPerSecond = 0.5;
 
 Nanoseconds FromSeconds(double seconds) {
@@ -34,6 +35,8 @@ OdometerCounterOptions CounterOptions(const VehicleOptions& options) {
 MotionTrackOptions TrackOptions(const VehicleOptions& options) {
   MotionTrackOptions track;
   track.valid = FromSeconds(options.stale_s);
+  // A reading or two may fail to come; a vehicle that is not heard of is not guessed any further.
+  track.ahead = std::max(FromSeconds(2.0 * options.poll_s), kLeastAhead);
   return track;
 }
 

@@ -39,7 +39,8 @@ class ToldOdometer final : public Odometer {
   void Listen(std::function<void()> to) override { listener = std::move(to); }
   std::uint64_t lost() const override { return lost_readings; }
 
-  MotionTrack track{MotionTrackOptions{512, std::chrono::seconds(1), true}};
+  MotionTrack track{
+      MotionTrackOptions{512, std::chrono::seconds(1), true, std::chrono::seconds(1)}};
   std::function<void()> listener;
   std::uint64_t lost_readings = 0;
 };

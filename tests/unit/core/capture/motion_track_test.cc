@@ -42,6 +42,17 @@ TEST(MotionTrack, AheadItGoesOnAtThePresentSpeedUntilTheReadingIsTooOld) {
   EXPECT_FALSE(track.TimeAt(11.5));
 }
 
+TEST(MotionTrack, WhenNoReadingComesItGoesOnNoFurtherThanAsked) {
+  MotionTrackOptions options;
+  options.ahead = milliseconds(200);
+  MotionTrack track(options);
+  track.Add(At(1.0), 10.0, 5.0);
+  EXPECT_NEAR(*track.At(At(1.1)), 10.5, 1e-9);
+  EXPECT_NEAR(*track.At(At(9.0)), 11.0, 1e-9);
+  EXPECT_TRUE(track.TimeAt(10.9));
+  EXPECT_FALSE(track.TimeAt(11.1));
+}
+
 TEST(MotionTrack, ACounterThatTellsOnlyChangesStaysWhereItIs) {
   MotionTrackOptions options;
   options.extrapolate = false;
