@@ -12,6 +12,11 @@
 #include "core/pipeline/options.h"
 #include "core/pipeline/quality.h"
 #include "core/session/session.h"
+#include "drivers/gnss/gpsd_client.h"
+#include "drivers/gpio/inputs.h"
+#include "drivers/gpio/outputs.h"
+#include "drivers/modbus/server.h"
+#include "drivers/modbus/vehicle.h"
 
 namespace omnihdr {
 
@@ -26,7 +31,8 @@ enum class OnExistingSession { kResume, kRefuse };
 enum class CameraDriver { kSim, kReplay };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
-enum class TriggerKind { kSoftware, kTimer, kDistance, kReplay };
+enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
+enum class OdometerKind { kSim, kWheel, kModbus };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
 
 std::string_view ToString(OnExistingSession value);
@@ -34,6 +40,7 @@ std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
 std::string_view ToString(TriggerKind value);
+std::string_view ToString(OdometerKind value);
 std::string_view ToString(LogLevel value);
 
 // [session]
@@ -98,10 +105,35 @@ struct BracketConfig {
 // [trigger]
 struct TriggerConfig {
   TriggerKind source = TriggerKind::kSoftware;
-  double interval_s = 1.0;  // timer
-  double distance_m = 0.3;  // distance
-  std::uint64_t limit = 0;  // triggers after which the source disarms; 0 = none
+  double interval_s = 1.0;                     // timer
+  double distance_m = 0.3;                     // distance
+  OdometerKind odometer = OdometerKind::kSim;  // whose metres are journaled and whose marks trigger
+  std::uint64_t limit = 0;                     // triggers after which the source disarms; 0 = none
   bool armed_at_start = false;
+};
+
+// [gpio.trigger] and [gpio.wheel] in `inputs`, [gpio.outputs]
+struct GpioConfig {
+  gpio::InputsOptions inputs;
+  gpio::OutputsOptions outputs;
+};
+
+// [modbus.client] in `client`, [modbus.server] in `server` and `control`
+struct ModbusConfig {
+  ModbusConfig() {
+    client.endpoint.connection = modbus::Connection::kOff;
+    server.endpoint.connection = modbus::Connection::kOff;
+    server.endpoint.port = 1502;
+  }
+  modbus::VehicleOptions client;
+  modbus::ServerOptions server;
+  bool control = false;  // whether masters may command
+};
+
+// [gnss]
+struct GnssConfig {
+  bool enabled = false;
+  gnss::GpsdOptions gpsd;
 };
 
 // [recorder]
@@ -134,6 +166,9 @@ struct DaemonConfig {
   CameraConfig camera;
   BracketConfig bracket;
   TriggerConfig trigger;
+  GpioConfig gpio;
+  ModbusConfig modbus;
+  GnssConfig gnss;
   RecorderConfig recorder;
   ApiConfig api;
   LogConfig log;

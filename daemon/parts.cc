@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "daemon/vehicle_parts.h"
 #include "drivers/all_drivers.h"
 #include "drivers/sim/sim_vehicle.h"
 #include "drivers/trigger/software_trigger.h"
@@ -97,7 +98,10 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       parts.triggers = std::make_unique<TimerTrigger>(options);
       break;
     }
+    case TriggerKind::kGpio:
+      break;  // by AddVehicleParts
     case TriggerKind::kDistance: {
+      if (config.trigger.odometer != OdometerKind::kSim) break;  // by AddVehicleParts
       const sim::VehicleOptions vehicle_options = MakeVehicleOptions(config, context.first_trigger);
       OMNIHDR_TRY(vehicle_options.Validate().Context("camera sim"));
       sim::DistanceTriggerOptions options;
@@ -122,6 +126,7 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       break;
     }
   }
+  OMNIHDR_TRY(AddVehicleParts(config, context, parts));
   if (config.pipeline.enabled) {
     ProcessorOptions how;
     how.overload = config.pipeline.overload;

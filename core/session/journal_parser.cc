@@ -45,6 +45,18 @@ Result<GnssFix> ReadGnss(const ObjectReader& line) {
   OMNIHDR_ASSIGN(const std::int64_t kind,
                  gnss.IntegerOr("fix", 1, 0, 255, "a whole number in [0, 255]"));
   fix.fix = static_cast<int>(kind);
+  OMNIHDR_ASSIGN(const std::int64_t dimensions,
+                 gnss.IntegerOr("dimensions", 0, 0, 3, "a whole number in [0, 3]"));
+  fix.dimensions = static_cast<int>(dimensions);
+  const auto optional = [&gnss](std::string_view key, std::optional<double>& value) -> Status {
+    if (!gnss.Has(key)) return {};
+    OMNIHDR_ASSIGN(value, gnss.Number(key, 0.0, 1e9, "a number in [0, 1e9]"));
+    return {};
+  };
+  OMNIHDR_TRY(optional("error_m", fix.error_m));
+  OMNIHDR_TRY(optional("time_error_s", fix.time_error_s));
+  OMNIHDR_TRY(optional("age_s", fix.age_s));
+  OMNIHDR_ASSIGN(fix.time_source, gnss.StringOr("time_source", ""));
   return fix;
 }
 
