@@ -215,8 +215,7 @@ std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
   return found == registers_.end() ? 0 : found->second;
 }
 
-IidcDevice::Answer IidcDevice::Read(std::uint64_t address, std::span<std::uint32_t> quadlets) {
-  std::lock_guard lock(mutex_);
+std::optional<IidcDevice::Answer> IidcDevice::Refuses() {
   if (!plugged_in_) return Answer::kGone;
   if (faults_.nak_registers > 0) {
     --faults_.nak_registers;
@@ -226,6 +225,13 @@ IidcDevice::Answer IidcDevice::Read(std::uint64_t address, std::span<std::uint32
     --faults_.stall_registers;
     return Answer::kStall;
   }
+  if (faults_.stall_after >= 0 && faults_.stall_after-- == 0) return Answer::kStall;
+  return std::nullopt;
+}
+
+IidcDevice::Answer IidcDevice::Read(std::uint64_t address, std::span<std::uint32_t> quadlets) {
+  std::lock_guard lock(mutex_);
+  if (const std::optional<Answer> refused = Refuses()) return *refused;
   for (std::size_t i = 0; i < quadlets.size(); ++i) {
     const std::optional<std::uint32_t> value = ReadOne(address + 4 * i);
     if (!value) return Answer::kStall;
@@ -236,15 +242,7 @@ IidcDevice::Answer IidcDevice::Read(std::uint64_t address, std::span<std::uint32
 
 IidcDevice::Answer IidcDevice::Write(std::uint64_t address, std::uint32_t value) {
   std::lock_guard lock(mutex_);
-  if (!plugged_in_) return Answer::kGone;
-  if (faults_.nak_registers > 0) {
-    --faults_.nak_registers;
-    return Answer::kNak;
-  }
-  if (faults_.stall_registers > 0) {
-    --faults_.stall_registers;
-    return Answer::kStall;
-  }
+  if (const std::optional<Answer> refused = Refuses()) return *refused;
   return WriteOne(address, value) ? Answer::kOk : Answer::kStall;
 }
 
@@ -482,6 +480,11 @@ bool IidcDevice::plugged_in() const {
 std::uint32_t IidcDevice::Register(std::uint32_t offset) const {
   std::lock_guard lock(mutex_);
   return ReadOne(kBase + offset).value_or(0);
+}
+
+bool IidcDevice::stall_pending() const {
+  std::lock_guard lock(mutex_);
+  return faults_.stall_after >= 0;
 }
 
 int IidcDevice::triggers_refused() const {

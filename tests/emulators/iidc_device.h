@@ -64,6 +64,7 @@ class IidcDevice {
     int late_frames = 0;      // sent late_s later
     double late_s = 0.0;
     int stall_registers = 0;
+    int stall_after = -1;  // refuses one request, after this many have been answered
     int nak_registers = 0;
     int stall_stream = 0;
     int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
@@ -80,6 +81,7 @@ class IidcDevice {
   const IidcDeviceOptions& options() const { return options_; }
   std::uint32_t Register(std::uint32_t offset) const;  // as it is, by offset from the command base
   int triggers_refused() const;                        // while the sensor was busy
+  bool stall_pending() const;                          // Faults::stall_after has not come yet
 
   // Shutter and gain as the value registers hold them.
   static double ShutterSeconds(std::uint32_t raw);
@@ -103,6 +105,7 @@ class IidcDevice {
   // All with mutex_.
   void PowerUp();
   void ResetFeatures();
+  std::optional<Answer> Refuses();
   std::optional<std::uint32_t> ReadOne(std::uint64_t address) const;
   bool WriteOne(std::uint64_t address, std::uint32_t value);
   void WriteFeature(std::uint32_t offset, std::uint32_t value);
