@@ -227,6 +227,8 @@ std::string_view ToString(CameraDriver value) {
   return "?";
 }
 
+std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
+
 std::string_view ToString(IidcCoding value) {
   return value == IidcCoding::kRaw8 ? "raw8" : "mono8";
 }

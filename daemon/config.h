@@ -26,6 +26,7 @@ enum class OnExistingSession { kResume, kRefuse };
 enum class CameraDriver { kSim, kReplay, kIidc };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
+enum class IidcFormat { kRaw, kJpeg };
 enum class IidcCoding { kRaw8, kMono8 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kReplay };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
@@ -34,6 +35,7 @@ std::string_view ToString(OnExistingSession value);
 std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
+std::string_view ToString(IidcFormat value);
 std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(LogLevel value);
@@ -77,7 +79,9 @@ struct ReplayCameraConfig {
 struct IidcCameraConfig {
   std::string id;   // GUID or serial number; empty = the only camera there
   std::string rig;  // rig file; required when camera.driver = "iidc"
-  int mode = 0;     // Format7 mode
+  IidcFormat format = IidcFormat::kRaw;
+  int jpeg_quality = 90;
+  int mode = 0;  // Format7 mode
   IidcCoding coding = IidcCoding::kRaw8;
   int left = 0;  // of the picture on the sensor
   int top = 0;

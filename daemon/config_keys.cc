@@ -408,6 +408,10 @@ std::vector<ConfigKey> MakeKeys() {
   add(CameraId());
   add(Path("camera.iidc.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.iidc.rig)));
+  add(Choice("camera.iidc.format", std::vector{IidcFormat::kRaw, IidcFormat::kJpeg},
+             OMNIHDR_MEMBER(camera.iidc.format)));
+  add(Whole("camera.iidc.jpeg_quality", "a whole number", 1, 100,
+            OMNIHDR_MEMBER(camera.iidc.jpeg_quality)));
   add(Whole("camera.iidc.mode", "a whole number", 0, 7, OMNIHDR_MEMBER(camera.iidc.mode)));
   add(Choice("camera.iidc.coding", std::vector{IidcCoding::kRaw8, IidcCoding::kMono8},
              OMNIHDR_MEMBER(camera.iidc.coding)));

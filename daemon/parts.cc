@@ -35,6 +35,9 @@ CameraOptions MakeIidcOptions(const CameraConfig& config) {
   iidc::IidcCameraOptions options;
   options.id = from.id;
   options.rig_file = from.rig;
+  options.format =
+      from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;
+  options.jpeg_quality = from.jpeg_quality;
   options.mode = from.mode;
   options.coding = from.coding == IidcCoding::kMono8 ? iidc::Coding::kMono8 : iidc::Coding::kRaw8;
   options.left = from.left;

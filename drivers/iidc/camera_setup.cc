@@ -13,6 +13,7 @@
 #include "drivers/iidc/frame_info.h"
 #include "drivers/iidc/registers.h"
 #include "drivers/iidc/trigger_mode.h"
+#include "drivers/ladybug/raw_stack.h"
 
 namespace omnihdr::iidc {
 namespace {
@@ -113,6 +114,31 @@ Status CheckColours(const Registers& registers, const Rig& rig) {
               *quadlet, ToString(*order), ToString(expected));
 }
 
+// The quality stays as it is set: one that follows the scene would differ within a bracket.
+Status SetUpCompression(const Registers& registers, int quality) {
+  OMNIHDR_ASSIGN(const std::uint32_t before, registers.Read(kJpegControl, "JPEG_CTRL"));
+  if ((before & Bit(31)) == 0) {
+    return Fail(ErrorKind::kConfig, "JPEG_CTRL (0x1e80): {:#010x}: the camera does not compress",
+                before);
+  }
+  const auto wanted = static_cast<std::uint32_t>(quality);
+  OMNIHDR_TRY(registers.WriteChecked(kJpegControl, Bit(31) | Bit(25) | wanted, Bit(24) | 0xFF,
+                                     "JPEG_CTRL"));
+  return {};
+}
+
+Status CheckCompressible(const Rig& rig, const std::string& name) {
+  bool alike = rig.sensors.size() == ladybug::kSensors;
+  for (const RigSensor& sensor : rig.sensors) {
+    alike = alike && sensor.bayer == BayerOrder::kBggr &&
+            sensor.lens.height() == rig.sensors.front().lens.height();
+  }
+  if (alike) return {};
+  return Fail(ErrorKind::kConfig,
+              "{}: {} sensors: expected {} of one size and BGGR with camera.iidc.format = \"jpeg\"",
+              name, rig.sensors.size(), ladybug::kSensors);
+}
+
 // Stacked picture of a rig whose sensors are alike in width and colours.
 struct Stack {
   int width = 0;
@@ -140,11 +166,12 @@ std::string ExtraJson(const ReadyCamera& camera, const std::vector<SettledFeatur
   const Json iidc = {{"guid", FormatGuid(camera.rom.guid)},
                      {"vendor", camera.rom.vendor},
                      {"link", camera.link->name()},
+                     {"format", ToString(options.format)},
                      {"mode", options.mode},
                      {"packet_bytes", camera.format.packet_bytes},
                      {"frame_bytes", camera.format.frame_bytes},
                      {"trigger_mode", options.trigger_mode},
-                     {"embedded", fmt::format("{:#05x}", camera.embedded)},
+                     {"embedded", fmt::format("{:#05x}", camera.picture.embedded)},
                      {"features", features}};
   return Json{{"iidc", iidc}}.dump();
 }
@@ -184,6 +211,7 @@ Status IidcCameraOptions::Validate() const {
     return Fail(ErrorKind::kConfig, "rig: empty: expected the rig file of the camera's head");
   }
   OMNIHDR_TRY(CheckOption("mode", mode, 0, 7));
+  OMNIHDR_TRY(CheckOption("jpeg_quality", jpeg_quality, 1, 100));
   OMNIHDR_TRY(CheckOption("left", left, 0, 65534));
   OMNIHDR_TRY(CheckOption("top", top, 0, 65534));
   if (left % 2 != 0 || top % 2 != 0) {
@@ -221,11 +249,19 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
   OMNIHDR_TRY(Reset(registers));
   Format7Request request;
   request.mode = options.mode;
-  request.left = options.left;
-  request.top = options.top;
-  request.width = stack.width;
-  request.height = stack.height;
-  request.coding = options.coding;
+  const bool compressed = options.format == PictureFormat::kJpeg;
+  if (compressed) {
+    // The picture is a buffer for the compressed data: as large as it can be.
+    OMNIHDR_TRY(CheckCompressible(camera.rig, options.rig_file));
+    OMNIHDR_TRY(SetUpCompression(registers, options.jpeg_quality));
+    request.coding = Coding::kMono8;
+  } else {
+    request.left = options.left;
+    request.top = options.top;
+    request.width = stack.width;
+    request.height = stack.height;
+    request.coding = options.coding;
+  }
   request.packet_bytes = static_cast<std::uint32_t>(options.packet_bytes);
   request.link_packet_bytes = camera.link->packet_bytes();
   OMNIHDR_ASSIGN(camera.format, SetUpFormat7(registers, request).Context("Format7"));
@@ -249,7 +285,15 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
     OMNIHDR_TRY(camera.gain->SetManual());
     OMNIHDR_ASSIGN(camera.gain_range, camera.gain->ReadRange());
   }
-  OMNIHDR_ASSIGN(camera.embedded, EnableEmbeddedInfo(registers));
+  camera.picture.format = options.format;
+  camera.picture.sensors = static_cast<int>(camera.rig.sensors.size());
+  camera.picture.width = stack.width;
+  camera.picture.height = stack.height;
+  if (compressed) {
+    OMNIHDR_TRY(DisableEmbeddedInfo(registers));
+  } else {
+    OMNIHDR_ASSIGN(camera.picture.embedded, EnableEmbeddedInfo(registers));
+  }
   OMNIHDR_TRY(SetUpSoftwareTrigger(registers, options.trigger_mode));
 
   CameraInfo& info = camera.info;
@@ -264,8 +308,9 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
   info.description.bayer = ToString(camera.rig.sensors.front().bayer);
   info.shortest = ExposureTime::Seconds(camera.shutter_range.minimum);
   info.longest = ExposureTime::Seconds(camera.shutter_range.maximum);
-  info.proof = (camera.embedded & kEmbeddedShutter) != 0 ? ExposureProof::kEmbedded
-                                                         : ExposureProof::kReadback;
+  info.proof = compressed || (camera.picture.embedded & kEmbeddedShutter) != 0
+                   ? ExposureProof::kEmbedded
+                   : ExposureProof::kReadback;
   info.extra_json = ExtraJson(camera, settled, options);
   return camera;
 }

@@ -13,6 +13,7 @@
 #include "drivers/iidc/features.h"
 #include "drivers/iidc/format7.h"
 #include "drivers/iidc/model_table.h"
+#include "drivers/iidc/picture.h"
 #include "drivers/iidc/register_bus.h"
 
 namespace omnihdr::iidc {
@@ -22,7 +23,9 @@ struct IidcCameraOptions {
   // one there.
   std::string id;
   std::string rig_file;  // the head's calibration; its sensors' sizes decide the picture's
-  int mode = 0;          // Format7 mode, 0 to 7
+  PictureFormat format = PictureFormat::kRaw;
+  int jpeg_quality = 90;  // 1 to 100, fixed: the noise of a bracket's pictures stays alike
+  int mode = 0;           // Format7 mode, 0 to 7 (a Ladybug's JPEGs: 7)
   Coding coding = Coding::kRaw8;
   int left = 0;  // of the picture on the sensor, even
   int top = 0;
@@ -48,7 +51,7 @@ struct ReadyCamera {
   AbsoluteRange shutter_range;
   std::optional<AbsoluteRange> gain_range;
   Format7Setup format;
-  std::uint32_t embedded = 0;  // items the camera writes into frames; 0 = none
+  PictureLayout picture;
   Rig rig;
   CameraInfo info;
 };

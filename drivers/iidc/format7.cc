@@ -110,7 +110,7 @@ std::uint32_t ChoosePacketBytes(std::size_t image_bytes, std::uint32_t unit, std
   return start;
 }
 
-Result<Format7Setup> SetUpFormat7(const Registers& registers, const Format7Request& request) {
+Result<Format7Setup> SetUpFormat7(const Registers& registers, Format7Request request) {
   OMNIHDR_TRY(SelectMode(registers, request.mode));
   OMNIHDR_ASSIGN(const std::uint32_t pointer,
                  registers.Read(kFormat7Pointers + 4 * static_cast<std::uint32_t>(request.mode),
@@ -121,6 +121,10 @@ Result<Format7Setup> SetUpFormat7(const Registers& registers, const Format7Reque
   OMNIHDR_ASSIGN(const std::uint32_t unit_size, mode.Read(kUnitSize, "UNIT_SIZE"));
   OMNIHDR_ASSIGN(std::uint32_t unit_position, mode.Read(kUnitPosition, "UNIT_POSITION"));
   if (unit_position == 0) unit_position = unit_size;  // as the standard has it
+  if (request.width == 0 && request.height == 0) {
+    request.width = static_cast<int>(max_size >> 16);
+    request.height = static_cast<int>(max_size & 0xFFFF);
+  }
   OMNIHDR_TRY(CheckExtent("width", request.left, request.width, max_size >> 16, unit_position >> 16,
                           unit_size >> 16));
   OMNIHDR_TRY(CheckExtent("height", request.top, request.height, max_size & 0xFFFF,

@@ -18,7 +18,7 @@ struct Format7Request {
   int mode = 0;
   int left = 0;
   int top = 0;
-  int width = 0;
+  int width = 0;  // both 0: all that the mode has
   int height = 0;
   Coding coding = Coding::kRaw8;
   // Bytes of one of the camera's packets; 0 = what the camera recommends.
@@ -46,7 +46,7 @@ inline constexpr std::size_t kMaxFrameBytes = std::size_t{256} << 20;
 // every camera accepts, each with its handshake (with a deadline), and reads everything back. The
 // camera must not be streaming. kConfig: the camera cannot do what is asked; the message says what
 // it can.
-Result<Format7Setup> SetUpFormat7(const Registers& registers, const Format7Request& request);
+Result<Format7Setup> SetUpFormat7(const Registers& registers, Format7Request request);
 
 // The packet size to use: a multiple of `unit` from it to `maximum`, near `wanted`, with which the
 // frame's length (image rounded up to whole packets) is no multiple of `link_packet`, if there is

@@ -46,6 +46,13 @@ Result<std::uint32_t> EnableEmbeddedInfo(const Registers& registers) {
   return after & kEmbeddedAll;
 }
 
+Status DisableEmbeddedInfo(const Registers& registers) {
+  OMNIHDR_ASSIGN(const std::uint32_t before, registers.Read(kFrameInfo, "FRAME_INFO"));
+  if ((before & Bit(31)) == 0) return {};
+  OMNIHDR_TRY(registers.WriteChecked(kFrameInfo, Bit(31), kEmbeddedAll, "FRAME_INFO"));
+  return {};
+}
+
 std::optional<std::int64_t> CycleTimeNanoseconds(std::uint32_t word) {
   const std::int64_t seconds = Field(word, 31, 25);
   const std::int64_t cycles = Field(word, 24, 12);

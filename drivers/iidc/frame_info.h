@@ -42,6 +42,8 @@ std::optional<EmbeddedInfo> ParseEmbeddedInfo(std::span<const std::byte> frame,
 
 // Switches on every item the camera has; returns the enable mask in force, 0 when it has none.
 Result<std::uint32_t> EnableEmbeddedInfo(const Registers& registers);
+// Leaves every byte of the frame as it is.
+Status DisableEmbeddedInfo(const Registers& registers);
 
 // A 1394 cycle time word in nanoseconds, from 0 to 128 s. Nothing when a field is out of range.
 std::optional<std::int64_t> CycleTimeNanoseconds(std::uint32_t word);

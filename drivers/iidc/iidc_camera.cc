@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstring>
 #include <utility>
 
 #include "drivers/iidc/registers.h"
@@ -29,20 +28,6 @@ constexpr int kMaxStrayChunks = 1000;
 
 Nanoseconds FromSeconds(double seconds) {
   return Nanoseconds(static_cast<std::int64_t>(std::llround(seconds * 1e9)));
-}
-
-// The picture out of a frame's bytes; rows that did not come are black.
-Image<std::uint8_t> MakePicture(const RawFrame& raw, const Format7Setup& format,
-                                std::size_t embedded_bytes) {
-  Image<std::uint8_t> image(format.width, format.height);
-  const std::size_t bytes = std::min(raw.bytes.size(), image.size());
-  if (bytes > 0) std::memcpy(image.data(), raw.bytes.data(), bytes);
-  // The camera's words lie over the first pixels; two rows down are the nearest of their colour.
-  if (image.height() > 2) {
-    const std::size_t covered = std::min(embedded_bytes, static_cast<std::size_t>(image.width()));
-    std::memcpy(image.row(0), image.row(2), covered);
-  }
-  return image;
 }
 
 }  // namespace
@@ -328,9 +313,9 @@ Result<std::optional<RawFrame>> IidcCamera::WaitForFrame(const Sent& sent, std::
 }
 
 bool IidcCamera::IsStray(const RawFrame& frame, const Sent& sent) {
-  const std::optional<EmbeddedInfo> info = ParseEmbeddedInfo(frame.bytes, camera_->embedded);
-  if (!info || !info->cycle_time) return false;
-  const std::optional<std::int64_t> cycle_ns = CycleTimeNanoseconds(*info->cycle_time);
+  const std::optional<FrameFacts> facts = ReadFacts(frame.bytes, camera_->picture);
+  if (!facts || !facts->info.cycle_time) return false;
+  const std::optional<std::int64_t> cycle_ns = CycleTimeNanoseconds(*facts->info.cycle_time);
   if (!cycle_ns) return false;
   CameraClock clock = camera_clock_;  // a frame that is thrown away leaves no trace
   const CameraTime taken = clock.Unwrap(*cycle_ns, frame.arrived);
@@ -374,7 +359,8 @@ void IidcCamera::Prove(const EmbeddedInfo& info, CameraFrame& frame) const {
     measured.time = ExposureTime::Seconds(*seconds);
   } else {
     frame.proof = ExposureProof::kNone;
-    frame.detail = fmt::format("the frame's shutter word {:#x} is none that was ever set", raw);
+    if (frame.detail.empty())
+      frame.detail = fmt::format("the frame's shutter word {:#x} is none that was ever set", raw);
     return;
   }
   if (info.gain && camera_->gain_range) {
@@ -383,7 +369,8 @@ void IidcCamera::Prove(const EmbeddedInfo& info, CameraFrame& frame) const {
       measured.gain = GainDb{*gain};
     } else if (!gains_.ambiguous(raw)) {
       frame.proof = ExposureProof::kNone;
-      frame.detail = fmt::format("the frame's gain word {:#x} is none that was ever set", raw);
+      if (frame.detail.empty())
+        frame.detail = fmt::format("the frame's gain word {:#x} is none that was ever set", raw);
       return;
     }
   }
@@ -414,12 +401,12 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
     std::lock_guard lock(mutex_);
     ++counts_.torn;
   }
-  const std::optional<EmbeddedInfo> embedded = ParseEmbeddedInfo(raw.bytes, camera_->embedded);
-  const EmbeddedInfo info = embedded.value_or(EmbeddedInfo{});
-  if (embedded) {
-    std::string detail = std::exchange(frame.detail, {});
+  const std::optional<FrameFacts> facts = ReadFacts(raw.bytes, camera_->picture);
+  const EmbeddedInfo info = facts ? facts->info : EmbeddedInfo{};
+  if (facts && !facts->one_exposure) {
+    if (frame.detail.empty()) frame.detail = "the sensors had different exposures";
+  } else if (facts || camera_->info.proof == ExposureProof::kReadback) {
     Prove(info, frame);
-    if (raw.torn) frame.detail = std::move(detail);
   }
 
   frame.camera_counter = Count(info.counter);
@@ -440,7 +427,13 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
       fmt::format(R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
                   in_force_->measured.time.seconds(), in_force_->measured.gain.value,
                   in_force_->shutter_raw, in_force_->gain_raw);
-  frame.pixels = MakePicture(raw, camera_->format, EmbeddedBytes(camera_->embedded));
+  Result<Image<std::uint8_t>> picture = ReadPicture(std::move(raw.bytes), camera_->picture);
+  if (!picture) {
+    if (frame.status == FrameStatus::kOk) frame.detail = picture.error().message;
+    frame.status = FrameStatus::kCorrupt;
+    picture = Image<std::uint8_t>(camera_->picture.width, camera_->picture.height);
+  }
+  frame.pixels = std::move(*picture);
   return frame;
 }
 

@@ -125,10 +125,12 @@ struct EmulatedCamera {
   std::unique_ptr<emulators::UmockdevUsb> usb;
 };
 
-Rig MakeIidcRig(Carrier carrier) {
+Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureFormat::kRaw) {
   auto emulated = std::make_shared<EmulatedCamera>();
   iidc::IidcCameraOptions options;
   options.rig_file = emulated->rig();
+  options.format = format;
+  if (format == iidc::PictureFormat::kJpeg) options.mode = 7;
   Rig rig;
   rig.surroundings = emulated;
   if (carrier == Carrier::kUsb) {
@@ -403,12 +405,14 @@ TEST_P(CameraCompliance, AnUnpluggedCameraSaysSoAndWorksAgainAfterReopening) {
 }  // namespace
 
 std::vector<RigFactory> AllRigs() {
-  return {{"sim", [] { return MakeSimRig(Layout::kPanorama); }},
-          {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
-          {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
-          {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
-          {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
-          {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }}};
+  return {
+      {"sim", [] { return MakeSimRig(Layout::kPanorama); }},
+      {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
+      {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
+      {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
+      {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
+      {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
+      {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }}};
 }
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {

@@ -6,11 +6,15 @@
 #include <cmath>
 #include <cstring>
 
+#include "tests/emulators/ladybug_frame.h"
+
 namespace omnihdr::emulators {
 namespace {
 
 constexpr std::uint64_t kRomAddress = 0xFFFF'F000'0400;
-constexpr std::uint32_t kFormat7At = 0x4000;  // from kBase
+constexpr std::uint32_t kFormat7At = 0x4000;  // + 0x100 · mode
+constexpr std::uint32_t kFormat7End = 0x4800;
+constexpr std::uint32_t kCompressedMode = 7;  // from kBase
 constexpr std::uint32_t kShutterAbsolute = 0x3000;
 constexpr std::uint32_t kGainAbsolute = 0x3010;
 constexpr std::uint32_t kGammaAbsolute = 0x3020;
@@ -135,8 +139,9 @@ void IidcDevice::PowerUp() {
 
 void IidcDevice::ResetFeatures() {
   registers_[0x100] = 1U << (31 - 7);
-  registers_[0x19C] = 1U << 31;
+  registers_[0x19C] = 1U << 31 | 1U << (31 - kCompressedMode);
   registers_[0x2E0] = Pointer(kFormat7At);
+  registers_[0x2E0 + 4 * kCompressedMode] = Pointer(kFormat7At + 0x100 * kCompressedMode);
   registers_[0x400] = kPresent | 1U << 30;
   registers_[0x608] = 7U << 29;
   registers_[0x604] = 0;
@@ -175,19 +180,28 @@ void IidcDevice::ResetFeatures() {
   registers_[kTrigger] = kPresent;
   settings_ = {{1000, GainRaw(0.0)}};
 
+  registers_[0x1E80] = kPresent | 1U << 24 | 60;
+
   format7_.clear();
-  format7_[0x000] = static_cast<std::uint32_t>(options_.max_width) << 16 |
-                    static_cast<std::uint32_t>(options_.max_height);
-  format7_[0x004] = 4U << 16 | 2;
-  format7_[0x04C] = 2U << 16 | 2;
-  format7_[0x014] = 1U << 31 | 1U << (31 - 9);
-  format7_[0x040] = 4U << 16 | 4096;
-  format7_[0x044] = 512;  // recommended
-  format7_[0x058] = static_cast<std::uint32_t>(BayerCode(options_.bayer)) << 24;
-  format7_[0x07C] = kPresent;
+  for (const std::uint32_t mode : {0U, kCompressedMode}) {
+    auto& csr = format7_[mode];
+    const bool raw = mode == 0;
+    csr[0x000] = raw ? static_cast<std::uint32_t>(options_.max_width) << 16 |
+                           static_cast<std::uint32_t>(options_.max_height)
+                     : 512U << 16 | 96;
+    csr[0x004] = 4U << 16 | 2;
+    csr[0x04C] = 2U << 16 | 2;
+    csr[0x014] = raw ? 1U << 31 | 1U << (31 - 9) : 1U << 31;
+    csr[0x040] = 4U << 16 | 4096;
+    csr[0x044] = 512;  // recommended
+    csr[0x058] = static_cast<std::uint32_t>(BayerCode(options_.bayer)) << 24;
+    csr[0x07C] = kPresent;
+  }
 }
 
-std::uint32_t& IidcDevice::Format7(std::uint32_t offset) { return format7_[offset]; }
+std::uint32_t& IidcDevice::Format7(std::uint32_t offset) {
+  return format7_[registers_[0x604] >> 29][offset];
+}
 
 void IidcDevice::UpdateTotals() {
   const std::uint32_t size = Format7(0x00C);
@@ -205,9 +219,11 @@ std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
   }
   if (address < kBase) return std::nullopt;
   const std::uint64_t offset = address - kBase;
-  if (offset >= kFormat7At && offset < kFormat7At + 0x100) {
-    const auto found = format7_.find(static_cast<std::uint32_t>(offset - kFormat7At));
-    return found == format7_.end() ? 0 : found->second;
+  if (offset >= kFormat7At && offset < kFormat7End) {
+    const auto mode = format7_.find(static_cast<std::uint32_t>(offset - kFormat7At) / 0x100);
+    if (mode == format7_.end()) return std::nullopt;
+    const auto found = mode->second.find(static_cast<std::uint32_t>(offset) % 0x100);
+    return found == mode->second.end() ? 0 : found->second;
   }
   if (offset == kSoftwareTrigger) return clock_.Now() < busy_until_ ? kPresent : 0;
   if (offset >= 0x5000) return std::nullopt;
@@ -264,14 +280,17 @@ void IidcDevice::WriteFeature(std::uint32_t offset, std::uint32_t value) {
 bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
   if (address % 4 != 0 || address < kBase || address >= kBase + 0x5000) return false;
   const auto offset = static_cast<std::uint32_t>(address - kBase);
-  if (offset >= kFormat7At && offset < kFormat7At + 0x100) {
-    const std::uint32_t at = offset - kFormat7At;
+  if (offset >= kFormat7At && offset < kFormat7End) {
+    const std::uint32_t at = offset % 0x100;
+    // Only the selected mode's are written by anybody.
+    if ((offset - kFormat7At) / 0x100 != registers_[0x604] >> 29) return false;
     if (at == 0x07C) {
       std::uint32_t verdict = kPresent;
       const std::uint32_t size = Format7(0x00C);
       const std::uint32_t place = Format7(0x008);
-      if ((size >> 16) + (place >> 16) > static_cast<std::uint32_t>(options_.max_width) ||
-          (size & 0xFFFF) + (place & 0xFFFF) > static_cast<std::uint32_t>(options_.max_height)) {
+      const std::uint32_t most = Format7(0x000);
+      if ((size >> 16) + (place >> 16) > most >> 16 ||
+          (size & 0xFFFF) + (place & 0xFFFF) > (most & 0xFFFF)) {
         verdict |= 1U << 23;
       }
       if (options_.handshake_never_ends) verdict |= 1U << 30;
@@ -395,8 +414,9 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
   const double decibels = GainDecibels(setting.gain);
   const std::size_t packet = std::max(1U, Format7(0x044) >> 16);
   std::vector<std::byte> bytes(std::size_t{Format7(0x048)} * packet);
+  const bool compressed = registers_[0x604] >> 29 == kCompressedMode;
   std::size_t at = 0;
-  for (int y = 0; y < height; ++y) {
+  for (int y = 0; y < height && !compressed; ++y) {
     for (int x = 0; x < width && at < bytes.size(); ++x) {
       bytes[at++] =
           static_cast<std::byte>(PixelAt(x + static_cast<int>(place >> 16),
@@ -418,6 +438,11 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
                                  0,
                                  0,
                                  place};
+  if (compressed) {
+    std::vector<std::byte> data = Compressed(seconds, decibels, words);
+    data.resize(bytes.size());
+    return data;
+  }
   at = 0;
   for (int item = 0; item < 10; ++item) {
     if ((registers_[kFrameInfo] & 1U << item) == 0 || at + 4 > bytes.size()) continue;
@@ -425,6 +450,26 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
     at += 4;
   }
   return bytes;
+}
+
+std::vector<std::byte> IidcDevice::Compressed(double seconds, double decibels,
+                                              std::span<const std::uint32_t> words) {
+  Image<std::uint8_t> stack(options_.max_width, options_.max_height);
+  for (int y = 0; y < stack.height(); ++y) {
+    for (int x = 0; x < stack.width(); ++x) stack.at(x, y) = PixelAt(x, y, seconds, decibels);
+  }
+  LadybugWords header;
+  header.cycle_time = words[0];
+  header.gain = words[1];
+  header.shutter = words[2];
+  header.sequence = words[6];
+  const int quality = std::max(1, static_cast<int>(registers_[0x1E80] & 0xFF));
+  std::vector<std::byte> frame = BuildLadybugFrame(stack, header, quality);
+  if (faults_.damaged_headers > 0) {
+    --faults_.damaged_headers;
+    frame[0x10] = std::byte{0};
+  }
+  return frame;
 }
 
 IidcDevice::Moved IidcDevice::ReadStream(std::span<std::byte> buffer) {

@@ -67,6 +67,7 @@ class IidcDevice {
     int stall_after = -1;  // refuses one request, after this many have been answered
     int nak_registers = 0;
     int stall_stream = 0;
+    int damaged_headers = 0;  // of compressed frames
     int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
   };
   void Set(const Faults& faults);
@@ -111,15 +112,17 @@ class IidcDevice {
   void WriteFeature(std::uint32_t offset, std::uint32_t value);
   void Trigger();
   std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
-  std::uint32_t& Format7(std::uint32_t offset);
+  std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected
+  std::vector<std::byte> Compressed(double seconds, double decibels,
+                                    std::span<const std::uint32_t> words);
   void UpdateTotals();
 
   const IidcDeviceOptions options_;
   const Clock& clock_;
   mutable std::mutex mutex_;
   std::vector<std::uint32_t> rom_;
-  std::map<std::uint32_t, std::uint32_t> registers_;  // by offset from kBase
-  std::map<std::uint32_t, std::uint32_t> format7_;
+  std::map<std::uint32_t, std::uint32_t> registers_;                         // by offset from kBase
+  std::map<std::uint32_t, std::map<std::uint32_t, std::uint32_t>> format7_;  // by mode
   std::deque<Setting> settings_;  // the newest at the back
   std::deque<Sending> sending_;
   Faults faults_;

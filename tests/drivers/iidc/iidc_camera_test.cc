@@ -273,6 +273,40 @@ TEST_F(IidcCameraTest, ExposuresAndGainsOutOfRangeAreRefusedWithTheRange) {
   EXPECT_THAT(gain.error().message, HasSubstr("expected -6 to 24 dB"));
 }
 
+TEST_F(IidcCameraTest, CompressedFramesBringTheSamePicturesWithTheSameProof) {
+  emulated_ = std::make_unique<EmulatedIidc>();
+  iidc::IidcCameraOptions options = emulated_->CameraOptions();
+  options.format = iidc::PictureFormat::kJpeg;
+  options.mode = 7;
+  Begin(options);
+  EXPECT_EQ(emulated_->device->Register(iidc::kJpegControl) & 0x010000FF, 90U);
+  const CameraFrame first = TakeOne(0.01);
+  ASSERT_EQ(first.status, FrameStatus::kOk) << first.detail;
+  EXPECT_EQ(first.proof, ExposureProof::kEmbedded);
+  ASSERT_TRUE(first.measured_exposure);
+  EXPECT_NEAR(first.measured_exposure->time.seconds(), 0.01, 1e-4);
+  EXPECT_TRUE(first.camera_time);
+  const Image<std::uint8_t>& pixels = Pixels(first);
+  ASSERT_EQ(pixels.height(), 288);
+  for (int y = 0; y < pixels.height(); y += 5) {
+    for (int x = 0; x < pixels.width(); ++x) {
+      ASSERT_NEAR(pixels.at(x, y),
+                  emulated_->device->PixelAt(x, y, first.measured_exposure->time.seconds(), 0.0),
+                  4);
+    }
+  }
+  emulated_->device->Set({.damaged_headers = 1});
+  const CameraFrame damaged = TakeOne(0.01);
+  EXPECT_EQ(damaged.status, FrameStatus::kCorrupt);
+  EXPECT_THAT(damaged.detail, HasSubstr("fingerprint"));
+  EXPECT_EQ(Pixels(damaged).height(), 288);
+  emulated_->device->Set({.short_frames = 1, .short_bytes = 9001});
+  EXPECT_EQ(TakeOne(0.01).status, FrameStatus::kCorrupt);
+  const CameraFrame last = TakeOne(0.02);
+  EXPECT_EQ(last.status, FrameStatus::kOk) << last.detail;
+  EXPECT_EQ(last.camera_counter, first.camera_counter + 3);
+}
+
 TEST(IidcCameraOpen, OfSeveralCamerasTheOneConfiguredIsTaken) {
   EmulatedIidc one;
   emulators::IidcDeviceOptions second;

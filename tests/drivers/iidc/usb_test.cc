@@ -144,7 +144,7 @@ TEST_F(UsbTest, FramesComeInOrderAndBuffersGoRound) {
     EXPECT_TRUE(chunk->ended_short);
     EXPECT_FALSE(chunk->gap);
     ASSERT_EQ(chunk->bytes.size(), camera_.format.frame_bytes);
-    const auto info = iidc::ParseEmbeddedInfo(chunk->bytes, camera_.embedded);
+    const auto info = iidc::ParseEmbeddedInfo(chunk->bytes, camera_.picture.embedded);
     EXPECT_EQ(info->counter, 100U + static_cast<std::uint32_t>(i));
     camera_.link->Recycle(std::move(*chunk));
   }
