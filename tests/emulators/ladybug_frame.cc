@@ -1,5 +1,7 @@
 #include "tests/emulators/ladybug_frame.h"
 
+#include <string_view>
+
 #include "core/image/image_io.h"
 
 namespace omnihdr::emulators {
@@ -52,6 +54,41 @@ std::vector<std::byte> BuildLadybugFrame(const Image<std::uint8_t>& stack,
   frame.resize((frame.size() + 511) / 512 * 512);
   Put(frame, 0x008, static_cast<std::uint32_t>(frame.size()));
   return frame;
+}
+
+std::vector<std::byte> BuildPgrStream(const std::vector<std::vector<std::byte>>& frames,
+                                      std::uint32_t version, std::uint32_t head_serial,
+                                      bool closed) {
+  constexpr std::string_view kMagic = "PGRLADYBUGSTREAM";
+  constexpr std::string_view kCalibration = "calibration of an emulated head\n";
+  std::vector<std::byte> file(3072);
+  for (std::size_t i = 0; i < kMagic.size(); ++i) file[i] = static_cast<std::byte>(kMagic[i]);
+  const auto put = [&file](std::size_t at, std::size_t word) {
+    for (std::size_t i = 0; i < 4; ++i) {
+      file[16 + at + i] = static_cast<std::byte>(word >> (8 * i) & 0xFF);
+    }
+  };
+  put(0x00, version);
+  put(0x04, 15);
+  put(0x08, 5100);
+  put(0x0C, head_serial);
+  put(0x84, kCalibration.size());
+  put(0x88, closed ? frames.size() : 0);
+  put(0x90, 50);
+  for (const char c : kCalibration) file.push_back(static_cast<std::byte>(c));
+  file.resize((file.size() + 511) / 512 * 512);
+  put(0x94, file.size());
+  if (closed) put(0xBEC, file.size());  // the index is filled from its far end
+  for (const std::vector<std::byte>& frame : frames) {
+    file.insert(file.end(), frame.begin(), frame.end());
+    file.resize((file.size() + 511) / 512 * 512);
+  }
+  if (closed) {
+    for (const char c : std::string_view("GPSSUMMARY_00001")) {
+      file.push_back(static_cast<std::byte>(c));
+    }
+  }
+  return file;
 }
 
 }  // namespace omnihdr::emulators

@@ -24,4 +24,10 @@ struct LadybugWords {
 std::vector<std::byte> BuildLadybugFrame(const Image<std::uint8_t>& stack,
                                          const LadybugWords& words, int quality = 90);
 
+// A recorded stream of such frames, by the format's description alone. Not `closed`: as it is left
+// when the power fails, without the number of images and the index.
+std::vector<std::byte> BuildPgrStream(const std::vector<std::vector<std::byte>>& frames,
+                                      std::uint32_t version, std::uint32_t head_serial,
+                                      bool closed = true);
+
 }  // namespace omnihdr::emulators
