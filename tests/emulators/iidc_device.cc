@@ -401,7 +401,11 @@ double IidcDevice::RadianceAt(int x, int y) const {
 }
 
 std::uint8_t IidcDevice::PixelAt(int x, int y, double exposure_s, double gain_db) const {
-  const double value = RadianceAt(x, y) * exposure_s * std::pow(10.0, gain_db / 20.0);
+  return Value(x, y, exposure_s * std::pow(10.0, gain_db / 20.0));
+}
+
+std::uint8_t IidcDevice::Value(int x, int y, double exposure) const {
+  const double value = RadianceAt(x, y) * exposure;
   return static_cast<std::uint8_t>(std::lround(std::min(255.0, value)));
 }
 
@@ -412,15 +416,15 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
   const int height = static_cast<int>(size & 0xFFFF);
   const double seconds = ShutterSeconds(setting.shutter);
   const double decibels = GainDecibels(setting.gain);
+  const double exposure = seconds * std::pow(10.0, decibels / 20.0);
   const std::size_t packet = std::max(1U, Format7(0x044) >> 16);
   std::vector<std::byte> bytes(std::size_t{Format7(0x048)} * packet);
   const bool compressed = registers_[0x604] >> 29 == kCompressedMode;
   std::size_t at = 0;
   for (int y = 0; y < height && !compressed; ++y) {
     for (int x = 0; x < width && at < bytes.size(); ++x) {
-      bytes[at++] =
-          static_cast<std::byte>(PixelAt(x + static_cast<int>(place >> 16),
-                                         y + static_cast<int>(place & 0xFFFF), seconds, decibels));
+      bytes[at++] = static_cast<std::byte>(
+          Value(x + static_cast<int>(place >> 16), y + static_cast<int>(place & 0xFFFF), exposure));
     }
   }
   const std::int64_t since =

@@ -106,6 +106,7 @@ class IidcDevice {
   // All with mutex_.
   void PowerUp();
   void ResetFeatures();
+  std::uint8_t Value(int x, int y, double exposure) const;
   std::optional<Answer> Refuses();
   std::optional<std::uint32_t> ReadOne(std::uint64_t address) const;
   bool WriteOne(std::uint64_t address, std::uint32_t value);

@@ -15,6 +15,8 @@
 #include <string>
 #include <utility>
 
+#include "tests/emulators/iidc_usb_function.h"
+
 namespace omnihdr::emulators {
 namespace {
 
@@ -22,14 +24,6 @@ using Answer = IidcDevice::Answer;
 
 constexpr std::size_t kSetupBytes = 8;
 constexpr const char* kSysPath = "/sys/devices/pci0000:00/0000:00:14.0/usb1/1-2";
-
-// Device, configuration, one interface with a bulk endpoint 0x81.
-constexpr unsigned char kDescriptors[] = {
-    18,   1,    0x00, 0x02, 0,    0,    0, 64,   0x10,
-    0x1E, 0x04, 0x20, 0x00, 0x01, 0,    0, 0,    1,    // device
-    9,    2,    25,   0,    1,    1,    0, 0x80, 250,  // configuration
-    9,    4,    0,    0,    1,    0xFF, 0, 0,    0,    // interface
-    7,    5,    0x81, 2,    0x00, 0x02, 0};            // endpoint
 
 // A reference to one of umockdev's objects.
 template <typename T>
@@ -74,7 +68,8 @@ struct UmockdevUsb::Impl {
 
   void Add() {
     std::string hex;
-    for (const unsigned char byte : kDescriptors) hex += fmt::format("{:02X}", byte);
+    for (const std::uint8_t byte : IidcUsbFunction::Descriptors())
+      hex += fmt::format("{:02X}", byte);
     node = fmt::format("/dev/bus/usb/001/{:03}", number);
     const std::string description = fmt::format(
         "P: /devices/pci0000:00/0000:00:14.0/usb1/1-2\nN: bus/usb/001/{0:03}\n"
@@ -182,38 +177,25 @@ struct UmockdevUsb::Impl {
     return -ESHUTDOWN;
   }
 
-  // A vendor request: bRequest 0x7F stands for 0xFFFF, data are little-endian quadlets.
+  // The setup packet lies in front of the data.
   void Control(Urb& urb) {
-    guint8* bytes = urb.buffer.get()->data;
-    const bool in = (bytes[0] & 0x80) != 0;
-    const auto word = [bytes](int at) {
-      return static_cast<std::uint64_t>(bytes[at] | bytes[at + 1] << 8);
-    };
-    const std::uint64_t address = 0xFFFF'0000'0000 | word(4) << 16 | word(2);
-    const std::size_t quadlets = word(6) / 4;
-    if (bytes[1] != 0x7F || quadlets == 0 || quadlets > 128) return Finish(urb, -EPIPE, 0);
+    const guint8* bytes = urb.buffer.get()->data;
+    const auto length = static_cast<std::size_t>(urb.buffer.get()->data_len);
+    if (length < kSetupBytes) return Finish(urb, -EPIPE, 0);
+    IidcUsbFunction::Setup setup;
+    std::copy_n(bytes, kSetupBytes, setup.begin());
+    const bool in = (setup[0] & 0x80) != 0;
+    std::vector<std::uint8_t> data;
+    if (!in) data.assign(bytes + kSetupBytes, bytes + length);
+    const Answer answer = function.Control(setup, data);
+    if (answer == Answer::kNak) return;  // never answered: the client gives up
+    if (answer != Answer::kOk) return Finish(urb, StatusOf(answer), 0);
     if (in) {
-      std::vector<std::uint32_t> values(quadlets);
-      const Answer answer = device->Read(address, values);
-      if (answer == Answer::kNak) return;  // never answered: the client gives up
-      if (answer == Answer::kOk) {
-        std::vector<guint8> data;
-        for (const std::uint32_t value : values) {
-          for (int i = 0; i < 4; ++i) data.push_back(static_cast<guint8>(value >> (8 * i) & 0xFF));
-        }
-        umockdev_ioctl_data_update(urb.buffer.get(), kSetupBytes, data.data(),
-                                   static_cast<gint>(data.size()));
-      }
-      return Finish(urb, StatusOf(answer), answer == Answer::kOk ? 4 * quadlets : 0);
+      data.resize(std::min(data.size(), length - kSetupBytes));
+      umockdev_ioctl_data_update(urb.buffer.get(), kSetupBytes, data.data(),
+                                 static_cast<gint>(data.size()));
     }
-    for (std::size_t i = 0; i < quadlets; ++i) {
-      std::uint32_t value = 0;
-      for (std::size_t b = 4; b-- > 0;) value = value << 8 | bytes[kSetupBytes + 4 * i + b];
-      const Answer answer = device->Write(address + 4 * i, value);
-      if (answer == Answer::kNak) return;
-      if (answer != Answer::kOk) return Finish(urb, StatusOf(answer), 0);
-    }
-    Finish(urb, 0, 4 * quadlets);
+    Finish(urb, 0, data.size());
   }
 
   // Gives the oldest bulk transfers what the device has.
@@ -264,6 +246,7 @@ struct UmockdevUsb::Impl {
   }
 
   const std::shared_ptr<IidcDevice> device;
+  IidcUsbFunction function{*device};
   Ref<UMockdevTestbed> testbed;
   Ref<UMockdevIoctlBase> handler;
   std::string node;

@@ -211,6 +211,32 @@ TEST_F(UsbTest, AnUnpluggedDeviceEndsTheStreamAtOnce) {
   EXPECT_LT(emulated_.clock.Now() - before, seconds(2));
 }
 
+TEST_F(UsbTest, AFrameOfSeveralTransfersIsWhole) {
+  emulators::IidcDeviceOptions options;
+  options.max_width = 640;
+  options.rows_per_sensor = 480;
+  options.max_height = 6 * 480;
+  plug_.Unplug();
+  testing::EmulatedIidc large(options);
+  emulators::UmockdevUsb plug(large.device);
+  iidc::IidcCamera camera(large.CameraOptions(), iidc::MakeUsbFinder(bus_), EmulatedTimeouts());
+  ASSERT_TRUE(camera.Open());
+  ASSERT_TRUE(camera.Start());
+  for (std::uint64_t number = 0; number < 3; ++number) {
+    const Result<CameraFrame> frame = testing::Take(camera, number, 0.004);
+    ASSERT_TRUE(frame) << frame.error().message;
+    ASSERT_EQ(frame->status, FrameStatus::kOk) << frame->detail;
+    const auto& pixels = std::get<Image<std::uint8_t>>(frame->pixels);
+    const double exposure_s = frame->measured_exposure->time.seconds();
+    for (int y = 1; y < pixels.height(); y += 97) {
+      for (int x = 0; x < pixels.width(); x += 11) {
+        ASSERT_EQ(pixels.at(x, y), large.device->PixelAt(x, y, exposure_s, 0.0)) << x << " " << y;
+      }
+    }
+  }
+  camera.Close();
+}
+
 TEST_F(UsbTest, ACameraTakesPicturesThroughStallsLossesAndAReturn) {
   auto camera = std::make_unique<iidc::IidcCamera>(emulated_.CameraOptions(),
                                                    iidc::MakeUsbFinder(bus_), EmulatedTimeouts());
