@@ -349,30 +349,37 @@ Status IidcCamera::RestartStream() {
 
 void IidcCamera::Prove(const EmbeddedInfo& info, CameraFrame& frame) const {
   Exposure measured = in_force_->measured;
-  frame.proof = ExposureProof::kEmbedded;
-  if (!info.shutter) {
-    frame.proof = ExposureProof::kReadback;
-  } else if (const std::uint32_t raw = *info.shutter & 0xFFF; shutters_.ambiguous(raw)) {
-    // Several settings have this register value: it proves less than what was read back.
-    frame.proof = ExposureProof::kReadback;
-  } else if (const std::optional<double> seconds = shutters_.Find(raw)) {
-    measured.time = ExposureTime::Seconds(*seconds);
-  } else {
+  frame.proof = info.shutter ? ExposureProof::kEmbedded : ExposureProof::kReadback;
+  // What an embedded word says; nothing when that is not known.
+  const auto meaning = [&frame](std::uint32_t word, const ExposureTable& table,
+                                std::uint32_t raw_in_force,
+                                double value_in_force) -> std::optional<double> {
+    const std::uint32_t raw = word & 0xFFF;
+    if (table.ambiguous(raw) && raw == raw_in_force) {
+      // Several settings have this register value: it proves less than what was read back.
+      frame.proof = ExposureProof::kReadback;
+      return value_in_force;
+    }
+    return table.Find(raw);
+  };
+  const auto unproven = [&frame](const char* what, std::uint32_t word) {
     frame.proof = ExposureProof::kNone;
-    if (frame.detail.empty())
-      frame.detail = fmt::format("the frame's shutter word {:#x} is none that was ever set", raw);
-    return;
+    if (frame.detail.empty()) {
+      frame.detail = fmt::format("the frame's {} word {:#x} stands for nothing that was set", what,
+                                 word & 0xFFF);
+    }
+  };
+  if (info.shutter) {
+    const std::optional<double> seconds =
+        meaning(*info.shutter, shutters_, in_force_->shutter_raw, measured.time.seconds());
+    if (!seconds) return unproven("shutter", *info.shutter);
+    measured.time = ExposureTime::Seconds(*seconds);
   }
   if (info.gain && camera_->gain_range) {
-    const std::uint32_t raw = *info.gain & 0xFFF;
-    if (const std::optional<double> gain = gains_.Find(raw)) {
-      measured.gain = GainDb{*gain};
-    } else if (!gains_.ambiguous(raw)) {
-      frame.proof = ExposureProof::kNone;
-      if (frame.detail.empty())
-        frame.detail = fmt::format("the frame's gain word {:#x} is none that was ever set", raw);
-      return;
-    }
+    const std::optional<double> gain =
+        meaning(*info.gain, gains_, in_force_->gain_raw, measured.gain.value);
+    if (!gain) return unproven("gain", *info.gain);
+    measured.gain = GainDb{*gain};
   }
   frame.measured_exposure = measured;
 }

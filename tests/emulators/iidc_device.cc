@@ -320,7 +320,7 @@ bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
     case kShutterAbsolute + 8: {
       const std::uint32_t raw = ShutterRaw(ToDouble(value));
       registers_[offset] = FromFloat(ShutterSeconds(raw));
-      registers_[kShutter] = (registers_[kShutter] & ~0xFFFU) | raw;
+      registers_[kShutter] = (registers_[kShutter] & ~0xFFFU) | ShutterWord(raw);
       return true;
     }
     case kGainAbsolute + 8: {
@@ -344,6 +344,10 @@ bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
   return true;
 }
 
+std::uint32_t IidcDevice::ShutterWord(std::uint32_t raw) const {
+  return options_.coarse_words ? raw & ~0xFU : raw;
+}
+
 void IidcDevice::Trigger() {
   const HostTime now = clock_.Now();
   const bool on = (registers_[kTrigger] & kOn) != 0 && (registers_[kIsoEnable] & kPresent) != 0;
@@ -351,7 +355,8 @@ void IidcDevice::Trigger() {
     ++triggers_refused_;
     return;
   }
-  settings_.push_back({registers_[kShutter] & 0xFFF, registers_[kGain] & 0xFFF});
+  settings_.push_back(
+      {ShutterRaw(ToDouble(registers_[kShutterAbsolute + 8])), registers_[kGain] & 0xFFF});
   while (settings_.size() > static_cast<std::size_t>(options_.exposure_latency) + 1) {
     settings_.pop_front();
   }
@@ -434,7 +439,7 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
       since / 1'000'000'000 % 128 << 25 | cycles << 12 | since % 125'000 * 3072 / 125'000);
   const std::uint32_t words[] = {cycle_time,
                                  kPresent | kOn | setting.gain,
-                                 kPresent | kOn | setting.shutter,
+                                 kPresent | kOn | ShutterWord(setting.shutter),
                                  registers_[0x800],
                                  registers_[0x804],
                                  registers_[0x80C],

@@ -30,7 +30,8 @@ struct IidcDeviceOptions {
   std::size_t link_packet_bytes = 512;
   bool embedded_info = true;
   bool handshake_never_ends = false;
-  bool keeps_gamma = false;  // a gamma that cannot be switched off by writing
+  bool coarse_words = false;  // sixteen shutter settings share a value of register and frame
+  bool keeps_gamma = false;   // a gamma that cannot be switched off by writing
 };
 
 // A device model of an IIDC camera, free of any transport: registers, configuration ROM, Format7,
@@ -112,6 +113,7 @@ class IidcDevice {
   bool WriteOne(std::uint64_t address, std::uint32_t value);
   void WriteFeature(std::uint32_t offset, std::uint32_t value);
   void Trigger();
+  std::uint32_t ShutterWord(std::uint32_t raw) const;
   std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
   std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected
   std::vector<std::byte> Compressed(double seconds, double decibels,

@@ -17,7 +17,7 @@ class MemorySource final : public ladybug::PgrSource {
   std::uint64_t size() const override { return size_; }
   Status Read(std::uint64_t offset, std::span<std::byte> to) const override {
     if (offset > size_ || to.size() > size_ - offset) std::abort();
-    std::memcpy(to.data(), data_ + offset, to.size());
+    if (!to.empty()) std::memcpy(to.data(), data_ + offset, to.size());
     return {};
   }
 

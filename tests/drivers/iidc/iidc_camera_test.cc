@@ -217,6 +217,26 @@ TEST_F(IidcCameraTest, WithoutEmbeddedInformationTheRegistersReadBackAreTheProof
   EXPECT_EQ(TakeOne(0.01).camera_counter, first.camera_counter + 1);
 }
 
+TEST_F(IidcCameraTest, SettingsThatShareARegisterValueAreProvedByWhatWasReadBack) {
+  emulators::IidcDeviceOptions device;
+  device.coarse_words = true;
+  Begin(device);
+  const double shorter = IidcDevice::ShutterSeconds(1920);
+  const double longer = IidcDevice::ShutterSeconds(1930);
+  EXPECT_EQ(TakeOne(shorter).proof, ExposureProof::kEmbedded);
+  for (const double seconds : {longer, shorter}) {
+    const CameraFrame frame = TakeOne(seconds);
+    EXPECT_EQ(frame.proof, ExposureProof::kReadback);
+    ASSERT_TRUE(frame.measured_exposure);
+    EXPECT_NEAR(frame.measured_exposure->time.seconds() / seconds, 1.0, 1e-4);
+  }
+  // Another setting's value is no proof of this one.
+  TakeOne(2 * shorter);
+  emulated_->device->Set({.wrong_exposures = 1});
+  EXPECT_NEAR(TakeOne(shorter).measured_exposure.value_or(Exposure{}).time.seconds(), 2 * shorter,
+              1e-4);
+}
+
 TEST_F(IidcCameraTest, CameraTimeGoesOnWhereTheCyclesWrap) {
   emulators::IidcDeviceOptions device;
   device.first_cycle_s = 127;  // wraps within a second

@@ -21,7 +21,7 @@ class MemorySource final : public ladybug::PgrSource {
   std::uint64_t size() const override { return bytes_.size(); }
   Status Read(std::uint64_t offset, std::span<std::byte> to) const override {
     if (offset + to.size() > bytes_.size()) return Fail(ErrorKind::kSoftware, "beyond the end");
-    std::memcpy(to.data(), bytes_.data() + offset, to.size());
+    if (!to.empty()) std::memcpy(to.data(), bytes_.data() + offset, to.size());
     return {};
   }
 
