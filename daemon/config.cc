@@ -132,6 +132,10 @@ class Loader {
       Problem(line_of("camera.driver"), "camera.replay.session",
               "\"\", expected a session directory with camera.driver = \"replay\"");
     }
+    if (config.camera.driver == CameraDriver::kIidc && config.camera.iidc.rig.empty()) {
+      Problem(line_of("camera.driver"), "camera.iidc.rig",
+              "\"\", expected the rig file of the camera's head with camera.driver = \"iidc\"");
+    }
     if (config.trigger.source == TriggerKind::kReplay &&
         config.camera.driver != CameraDriver::kReplay) {
       Problem(line_of("trigger.source"), "trigger.source",
@@ -255,7 +259,21 @@ std::string_view ToString(OnExistingSession value) {
 }
 
 std::string_view ToString(CameraDriver value) {
-  return value == CameraDriver::kSim ? "sim" : "replay";
+  switch (value) {
+    case CameraDriver::kSim:
+      return "sim";
+    case CameraDriver::kReplay:
+      return "replay";
+    case CameraDriver::kIidc:
+      return "iidc";
+  }
+  return "?";
+}
+
+std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
+
+std::string_view ToString(IidcCoding value) {
+  return value == IidcCoding::kRaw8 ? "raw8" : "mono8";
 }
 
 std::string_view ToString(SimScene value) {

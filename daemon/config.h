@@ -28,9 +28,11 @@ namespace omnihdr {
 inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.toml";
 
 enum class OnExistingSession { kResume, kRefuse };
-enum class CameraDriver { kSim, kReplay };
+enum class CameraDriver { kSim, kReplay, kIidc };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
+enum class IidcFormat { kRaw, kJpeg };
+enum class IidcCoding { kRaw8, kMono8 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
@@ -39,6 +41,8 @@ std::string_view ToString(OnExistingSession value);
 std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
+std::string_view ToString(IidcFormat value);
+std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(OdometerKind value);
 std::string_view ToString(LogLevel value);
@@ -78,6 +82,23 @@ struct ReplayCameraConfig {
   std::string session;  // directory; required when camera.driver = "replay"
 };
 
+// [camera.iidc]
+struct IidcCameraConfig {
+  std::string id;   // GUID or serial number; empty = the only camera there
+  std::string rig;  // rig file; required when camera.driver = "iidc"
+  IidcFormat format = IidcFormat::kRaw;
+  int jpeg_quality = 90;
+  int mode = 0;  // Format7 mode
+  IidcCoding coding = IidcCoding::kRaw8;
+  int left = 0;  // of the picture on the sensor
+  int top = 0;
+  int packet_bytes = 0;         // 0 = as the camera recommends
+  int trigger_mode = 0;         // 0, 14 or 15
+  int settle_frames = -1;       // thrown away after a change of exposure; -1 = as the model needs
+  int white_balance_blue = -1;  // register values; -1 = as the camera has them
+  int white_balance_red = -1;
+};
+
 // [camera]
 struct CameraConfig {
   CameraDriver driver = CameraDriver::kSim;
@@ -86,6 +107,7 @@ struct CameraConfig {
   double reconnect_s = 2.0;          // between attempts to open a camera that has gone
   SimCameraConfig sim;
   ReplayCameraConfig replay;
+  IidcCameraConfig iidc;
 };
 
 // [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The

@@ -35,6 +35,43 @@ ConfigKey SessionName() {
       [](const DaemonConfig& config) { return TomlText(config.session.name); }};
 }
 
+// A GUID or a serial number.
+ConfigKey CameraId() {
+  return {"camera.iidc.id",
+          "a GUID of 16 hexadecimal digits, a serial number of at most 10 digits, or \"\" for the "
+          "only camera there",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            const std::string& text = value.text;
+            if (value.type != TomlValue::Type::kString) return false;
+            const auto digit = [](char c) { return c >= '0' && c <= '9'; };
+            const auto hexadecimal = [&](char c) {
+              return digit(c) || (c >= 'a' && c <= 'f') || (c >= 'A' && c <= 'F');
+            };
+            const bool guid =
+                text.size() == 16 && std::all_of(text.begin(), text.end(), hexadecimal);
+            const bool serial = text.size() <= 10 && std::all_of(text.begin(), text.end(), digit);
+            if (!guid && !serial) return false;
+            config.camera.iidc.id = text;
+            return true;
+          },
+          [](const DaemonConfig& config) { return TomlText(config.camera.iidc.id); }};
+}
+
+ConfigKey TriggerMode() {
+  return {"camera.iidc.trigger_mode", "0, 14 or 15",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            if (value.type != TomlValue::Type::kInteger ||
+                (value.integer != 0 && value.integer != 14 && value.integer != 15)) {
+              return false;
+            }
+            config.camera.iidc.trigger_mode = static_cast<int>(value.integer);
+            return true;
+          },
+          [](const DaemonConfig& config) {
+            return fmt::format("{}", config.camera.iidc.trigger_mode);
+          }};
+}
+
 ConfigKey Exposures() {
   constexpr std::size_t kMaxSteps = 64;
   return {
@@ -150,7 +187,8 @@ std::vector<ConfigKey> MakeKeys() {
              std::vector{OnExistingSession::kResume, OnExistingSession::kRefuse},
              OMNIHDR_MEMBER(session.on_existing)));
 
-  add(Choice("camera.driver", std::vector{CameraDriver::kSim, CameraDriver::kReplay},
+  add(Choice("camera.driver",
+             std::vector{CameraDriver::kSim, CameraDriver::kReplay, CameraDriver::kIidc},
              OMNIHDR_MEMBER(camera.driver)));
   add(Number("camera.frame_timeout_s", "seconds", 0.01, 600,
              OMNIHDR_MEMBER(camera.frame_timeout_s)));
@@ -194,6 +232,28 @@ std::vector<ConfigKey> MakeKeys() {
                    OMNIHDR_MEMBER(camera.sim.max_distance_m)));
   add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.replay.session)));
+
+  add(CameraId());
+  add(Path("camera.iidc.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.iidc.rig)));
+  add(Choice("camera.iidc.format", std::vector{IidcFormat::kRaw, IidcFormat::kJpeg},
+             OMNIHDR_MEMBER(camera.iidc.format)));
+  add(Whole("camera.iidc.jpeg_quality", "a whole number", 1, 100,
+            OMNIHDR_MEMBER(camera.iidc.jpeg_quality)));
+  add(Whole("camera.iidc.mode", "a whole number", 0, 7, OMNIHDR_MEMBER(camera.iidc.mode)));
+  add(Choice("camera.iidc.coding", std::vector{IidcCoding::kRaw8, IidcCoding::kMono8},
+             OMNIHDR_MEMBER(camera.iidc.coding)));
+  add(EvenPixels("camera.iidc.left", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.left)));
+  add(EvenPixels("camera.iidc.top", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.top)));
+  add(Whole("camera.iidc.packet_bytes", "bytes", 0, 65535,
+            OMNIHDR_MEMBER(camera.iidc.packet_bytes)));
+  add(TriggerMode());
+  add(Whole("camera.iidc.settle_frames", "a whole number", -1, 8,
+            OMNIHDR_MEMBER(camera.iidc.settle_frames)));
+  add(Whole("camera.iidc.white_balance_blue", "a register value", -1, 4095,
+            OMNIHDR_MEMBER(camera.iidc.white_balance_blue)));
+  add(Whole("camera.iidc.white_balance_red", "a register value", -1, 4095,
+            OMNIHDR_MEMBER(camera.iidc.white_balance_red)));
 
   add(Choice("bracket.order",
              std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},

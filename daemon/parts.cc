@@ -31,12 +31,34 @@ sim::SceneKind Scene(SimScene scene) {
   return sim::SceneKind::kHall;
 }
 
+CameraOptions MakeIidcOptions(const CameraConfig& config) {
+  const IidcCameraConfig& from = config.iidc;
+  iidc::IidcCameraOptions options;
+  options.id = from.id;
+  options.rig_file = from.rig;
+  options.format =
+      from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;
+  options.jpeg_quality = from.jpeg_quality;
+  options.mode = from.mode;
+  options.coding = from.coding == IidcCoding::kMono8 ? iidc::Coding::kMono8 : iidc::Coding::kRaw8;
+  options.left = from.left;
+  options.top = from.top;
+  options.packet_bytes = from.packet_bytes;
+  options.trigger_mode = from.trigger_mode;
+  options.settle_frames = from.settle_frames;
+  options.white_balance_blue = from.white_balance_blue;
+  options.white_balance_red = from.white_balance_red;
+  options.frame_timeout_s = config.frame_timeout_s;
+  return options;
+}
+
 CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   if (config.camera.driver == CameraDriver::kReplay) {
     ReplayOptions replay;
     replay.session = config.camera.replay.session;
     return replay;
   }
+  if (config.camera.driver == CameraDriver::kIidc) return MakeIidcOptions(config.camera);
   const SimCameraConfig& from = config.camera.sim;
   sim::SimCameraOptions options;
   options.simulation.scene = Scene(from.scene);
