@@ -95,8 +95,9 @@ inline MergeSample MakeMergeSample(const Measurement& m, const RadianceSample& r
 
 // Whether two samples may show the same surface: as far apart as noise and registration explain, or
 // nearly equal. What `a` has saturated only says "at least".
-inline bool MayShowTheSame(const MergeSample& a, const MergeSample& b) {
-  constexpr float kNearly = 0.3F;
+inline constexpr float kNearlyEqual = 0.3F;  // relative
+inline bool MayShowTheSame(const MergeSample& a, const MergeSample& b,
+                           float nearly_equal = kNearlyEqual) {
   constexpr float kSigmasSquared = 6.25F;
   for (std::size_t c = 0; c < 3; ++c) {
     float gap = b.radiance[c] - a.radiance[c];
@@ -104,7 +105,7 @@ inline bool MayShowTheSame(const MergeSample& a, const MergeSample& b) {
     const float ea = a.radiance[c];
     const float eb = b.radiance[c];
     const float noise = a.variance[c] - a.relative * ea * ea + b.variance[c] - b.relative * eb * eb;
-    const float nearly = kNearly * std::min(ea, eb);
+    const float nearly = nearly_equal * std::min(ea, eb);
     if (gap * gap > kSigmasSquared * std::max(noise, 0.0F) + nearly * nearly) return false;
   }
   return true;

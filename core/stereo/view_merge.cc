@@ -103,26 +103,25 @@ void DropMinority(std::size_t count, MergeSamples* samples) {
   }
 }
 
-// Puts what is behind a mover in the own view's place: of the others those that side with each
-// other, two of them, or one where a person marked the mover. False: too few see it. The own view
-// stays where it shows the same.
-bool TakeBackground(bool is_marked, std::size_t count, MergeSamples* samples) {
+// Puts what is behind a mover in the own view's place: of the others, which are those that show it,
+// the ones that side with each other. `is_sure`: the own view does show a mover; else, at its edge,
+// two others have to agree, and the own view stays where it shows the same. False: none of them
+// says enough.
+bool TakeBackground(bool is_sure, std::size_t count, MergeSamples* samples) {
   MergeSample& mine = (*samples)[0];
-  const int needed = is_marked ? 1 : kLeastWitnesses;
   const MergeMajority majority = FindMajority(*samples, count);
-  if (majority.telling < needed) {
+  if (!is_sure && majority.views > 0 && majority.telling < kLeastWitnesses) return false;
+  if (majority.views == 0) {
     // A background that is clipped in every view that saw it has a bound at least.
-    int clipped = 0;
-    for (std::size_t k = 1; k < count; ++k) {
-      clipped += ((*samples)[k].flags & kSaturatedAny) != 0 ? 1 : 0;
-    }
-    if (majority.views > 0 || clipped < needed) return false;
-    if (!is_marked && (mine.flags & kSaturatedAny) != 0) return false;
+    const bool is_bounded =
+        std::any_of(samples->begin() + 1, samples->begin() + static_cast<std::ptrdiff_t>(count),
+                    [](const MergeSample& s) { return (s.flags & kSaturatedAny) != 0; });
+    if (!is_bounded || (!is_sure && (mine.flags & kSaturatedAny) != 0)) return false;
     mine.flags = kMasked;
     mine.usable = false;
     return true;
   }
-  if (!is_marked && MayShowTheSame(mine, (*samples)[majority.winner])) return true;
+  if (!is_sure && MayShowTheSame(mine, (*samples)[majority.winner])) return true;
   mine.flags = kMasked;
   mine.usable = false;
   for (std::size_t k = 1; k < count; ++k) {
@@ -435,7 +434,6 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   if (removes) {
     movers = FindMovers(
         {.own = own,
-         .own_sampler = own_sampler,
          .own_from_world = own_from_world,
          .map = *map,
          .sources = sources,
@@ -523,6 +521,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         for (std::size_t n = 0; n < sources.size() && asks_others; ++n) {
           const SourceLookup& source = sources[n];
           const SourceRow& row = rows[n];
+          if (by_mover && !movers.ShowsBackground(x / kMoverStep, y / kMoverStep, n)) continue;
           // Beside a mover the map tells of the mover.
           const Sight sight = by_mover ? Sight::kVisible : row.sight[i];
           // What a disparity map calls hidden is asked only where this view itself does not know.
@@ -548,7 +547,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           }
           view_bit[count++] = static_cast<std::uint8_t>(2U << n);
         }
-        if (by_mover && !TakeBackground(is_marked, count, &samples)) count = 1;
+        if (by_mover && !TakeBackground(is_marked || movers.IsCore(x / kMoverStep, y / kMoverStep),
+                                        count, &samples))
+          count = 1;
 
         // How well each other sample agrees with what this view itself saw, as an interval per
         // channel.

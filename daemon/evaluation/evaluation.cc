@@ -145,16 +145,17 @@ MeasurableRange BracketRange(const SessionContents& contents) {
 }
 
 // A frame of each other position that contributed to a view.
-std::vector<const FrameRecord*> OtherFrames(const SessionContents& contents, const Place& place) {
-  std::vector<const FrameRecord*> others;
+std::vector<Reference::Other> OtherFrames(const SessionContents& contents, const Place& place) {
+  std::vector<Reference::Other> others;
   for (const FrameRecord& frame : contents.journal.frames) {
     const std::vector<std::uint64_t>& used = place.view.frames;
     if (frame.position == place.own->position ||
         std::find(used.begin(), used.end(), Value(frame.frame)) == used.end() ||
-        (!others.empty() && others.back()->position == frame.position)) {
+        (!others.empty() && others.back().frame->position == frame.position)) {
       continue;
     }
-    others.push_back(&frame);
+    const double seconds = frame.exposure.EffectiveSeconds();
+    others.push_back({&frame, RangeOf(contents, seconds, seconds)});
   }
   return others;
 }

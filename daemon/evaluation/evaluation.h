@@ -42,7 +42,8 @@ RadianceScore ScoreRadiance(ImageView<const float> tested, ImageView<const float
 // What the view shows where something moved: pixels that show it, and pixels whose background it
 // hid from another view. A view that keeps movers must show its own frame's instant; where that
 // frame was clipped or dark the background is accepted as well. One that removes them must show the
-// background; where fewer than two other views saw it, its own frame's instant is accepted too.
+// background; where fewer than two other views saw and could measure it, its own frame's instant is
+// accepted too.
 struct MoverScore {
   bool removes = false;
   InstanceErrors view;  // off by more than 0.3 in log10 from all that is accepted

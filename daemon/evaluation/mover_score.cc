@@ -14,11 +14,6 @@ constexpr double kOffLog10 = 0.3;
 constexpr float kBoundTolerance = 0.8F;  // a bound is met from this share of it on
 constexpr std::uint8_t kFewWitnesses = 2;
 
-bool InRange(const float* rgb, const MeasurableRange& range) {
-  return std::isfinite(rgb[0]) && *std::max_element(rgb, rgb + 3) <= range.high &&
-         Luminance(rgb) >= range.low;
-}
-
 // Whether the own frame, clipped or dark on `now`, may just as well have seen `background`.
 bool MayBe(const float* background, const float* now, const MeasurableRange& own) {
   const bool is_clipped = *std::max_element(now, now + 3) > own.high;
@@ -61,7 +56,7 @@ MoverScore ScoreMovers(const MoverComparison& c, const ComparisonArea& sphere) {
       const float* now = c.truth.pixel(x, y);
       const float* background = c.movers.background.pixel(x, y);
       if (!std::isfinite(c.own_frame.pixel(x, y)[0]) ||
-          !InRange(c.removes ? background : now, c.bracket)) {
+          !c.bracket.Has(c.removes ? background : now)) {
         compared.at(x, y) = 0;
         continue;
       }

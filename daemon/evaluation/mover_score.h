@@ -1,18 +1,10 @@
 #pragma once
 
-#include <limits>
-
 #include "core/image/image.h"
 #include "daemon/evaluation/evaluation.h"
 #include "daemon/evaluation/reference.h"
 
 namespace omnihdr {
-
-// Radiance that exposures can measure.
-struct MeasurableRange {
-  float low = 0.0F;                                     // of luminance
-  float high = std::numeric_limits<float>::infinity();  // of every channel
-};
 
 struct MoverComparison {
   const Image<float>& view;  // W×H×3, as all pictures here; NaN = unknown

@@ -1,12 +1,19 @@
 #include "daemon/evaluation/reference.h"
 
+#include <algorithm>
+#include <cmath>
 #include <nlohmann/json.hpp>
 #include <system_error>
 
+#include "core/photometry/tonemap.h"
 #include "daemon/evaluation/photographs.h"
 #include "daemon/evaluation/simulation_truth.h"
 
 namespace omnihdr {
+
+bool MeasurableRange::Has(const float* rgb) const {
+  return std::isfinite(rgb[0]) && *std::max_element(rgb, rgb + 3) <= high && Luminance(rgb) >= low;
+}
 
 Result<std::unique_ptr<Reference>> OpenReference(const std::filesystem::path& session,
                                                  const SessionContents& contents,

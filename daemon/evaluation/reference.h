@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -16,6 +18,13 @@
 
 namespace omnihdr {
 
+// Radiance that exposures can measure.
+struct MeasurableRange {
+  float low = 0.0F;                                     // of luminance
+  float high = std::numeric_limits<float>::infinity();  // of every channel
+  bool Has(const float* rgb) const;                     // finite, and within
+};
+
 // What is known of the scene besides the frames: what a view ought to show.
 class Reference {
  public:
@@ -25,10 +34,16 @@ class Reference {
   };
   // What is known of things that moved while a view's frames were taken.
   struct Movers {
-    Image<float> background;        // W×H×3, the scene without them; empty = nothing moved
-    Image<std::uint8_t> here;       // W×H, non-zero where one is seen at the view's own instant
-    Image<std::uint8_t> in_sight;   // non-zero where one hid the background from another view
-    Image<std::uint8_t> witnesses;  // how many of the others see the background there
+    Image<float> background;       // W×H×3, the scene without them; empty = nothing moved
+    Image<std::uint8_t> here;      // W×H, non-zero where one is seen at the view's own instant
+    Image<std::uint8_t> in_sight;  // non-zero where one hid the background from another view
+    // How many of the others see the background there, neither too bright nor too dark for them.
+    Image<std::uint8_t> witnesses;
+  };
+  // A frame of another position that contributed to a view.
+  struct Other {
+    const FrameRecord* frame = nullptr;
+    MeasurableRange range;
   };
   virtual ~Reference() = default;
   // For people: "simulation (hall, seed 1)", "photographs".
@@ -38,9 +53,9 @@ class Reference {
   // The scene as seen from where `frame` was taken, on the grid of a written view.
   virtual Result<Picture> Render(const FrameRecord& frame, const Projection& output,
                                  const Eigen::Quaterniond& camera_from_output) const = 0;
-  // The same grid. `others`: one frame of each other position that contributed to the view.
+  // The same grid. `others`: one of each other position.
   virtual Result<Movers> FindMovers(const FrameRecord& /*frame*/,
-                                    const std::vector<const FrameRecord*>& /*others*/,
+                                    const std::vector<Other>& /*others*/,
                                     const Projection& /*output*/,
                                     const Eigen::Quaterniond& /*camera_from_output*/) const {
     return Movers{};

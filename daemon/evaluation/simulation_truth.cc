@@ -94,7 +94,7 @@ class SimulationTruth final : public Reference {
     return picture;
   }
 
-  Result<Movers> FindMovers(const FrameRecord& frame, const std::vector<const FrameRecord*>& others,
+  Result<Movers> FindMovers(const FrameRecord& frame, const std::vector<Other>& others,
                             const Projection& output,
                             const Eigen::Quaterniond& camera_from_output) const override {
     Movers found;
@@ -105,12 +105,13 @@ class SimulationTruth final : public Reference {
     struct Witness {
       Eigen::Vector3d place;
       sim::MoverGroup movers;
+      MeasurableRange range;
     };
     std::vector<Witness> witnesses;
-    for (const FrameRecord* other : others) {
-      OMNIHDR_ASSIGN(const std::optional<Pose> pose, TruePose(*other));
-      OMNIHDR_ASSIGN(sim::MoverGroup movers, MoversAt(*other));
-      if (pose) witnesses.push_back({pose->translation, std::move(movers)});
+    for (const Other& other : others) {
+      OMNIHDR_ASSIGN(const std::optional<Pose> pose, TruePose(*other.frame));
+      OMNIHDR_ASSIGN(sim::MoverGroup movers, MoversAt(*other.frame));
+      if (pose) witnesses.push_back({pose->translation, std::move(movers), other.range});
     }
     const Pose output_pose = *camera * Pose{camera_from_output, Eigen::Vector3d::Zero()};
     sim::RenderedView view = world_->Render(output_pose, output, simulation_.samples, &here);
@@ -137,7 +138,8 @@ class SimulationTruth final : public Reference {
             const bool is_hidden = witness.movers.Hides(
                 ToVec3(witness.place), ToVec3(towards / length), static_cast<float>(length));
             if (is_hidden) found.in_sight.at(x, y) = 1;
-            if (!is_hidden && world_->IsClear(witness.place, surface)) {
+            if (!is_hidden && witness.range.Has(found.background.pixel(x, y)) &&
+                world_->IsClear(witness.place, surface)) {
               ++found.witnesses.at(x, y);
             }
           }

@@ -21,7 +21,9 @@ constexpr int kWidth = testing::kFrameWidth;
 constexpr int kHeight = kWidth / 2;
 const std::vector<std::size_t> kNeighbours = {1, 3, 0, 4};
 
-Drive StillDrive() { return Drive::Through(testing::FurnishedRoom(), testing::FivePlaces(0.15)); }
+Drive StillDrive(double step = 0.15) {
+  return Drive::Through(testing::FurnishedRoom(), testing::FivePlaces(step));
+}
 
 // A drive in which a ball, so many times as bright as its surroundings, is where `places` has it
 // for each view.
@@ -29,13 +31,14 @@ struct MovingDrive {
   Drive drive;
   std::vector<Image<float>> backgrounds;
 
-  MovingDrive(float brightness, const std::vector<std::optional<Eigen::Vector3d>>& places)
-      : drive(StillDrive()) {
+  MovingDrive(float brightness, const std::vector<std::optional<Eigen::Vector3d>>& places,
+              double radius = 0.4, double step = 0.15)
+      : drive(StillDrive(step)) {
     for (std::size_t k = 0; k < drive.poses.size(); ++k) {
       backgrounds.push_back(drive.truths[k].radiance.Clone());
       if (!places[k]) continue;
       testing::Room room = drive.room;
-      room.balls.push_back({*places[k], 0.4, brightness});
+      room.balls.push_back({*places[k], radius, brightness});
       drive.truths[k] = Render(room, drive.projection, drive.poses[k]);
     }
   }
@@ -175,6 +178,66 @@ TEST(MergeRemovingMovers, TheBackgroundIsShownWhereTheOthersAgreeOnIt) {
     ASSERT_GE(mover, 150);
     EXPECT_LE(left, mover / 50) << "brightness " << brightness << ": of " << mover;
     EXPECT_LE(elsewhere, 4);
+  }
+}
+
+TEST(MergeRemovingMovers, OneThatKeepsPaceWithTheCameraIsTakenAwayThoughAllSeeItInOneDirection) {
+  constexpr double kStep = 0.5;
+  std::vector<std::optional<Eigen::Vector3d>> places;
+  for (int k = 0; k < 5; ++k)
+    places.emplace_back(Eigen::Vector3d(0.4 + kStep * (k - 2), -1.6, 0.1));
+  for (const float brightness : {0.1F, 6.0F}) {
+    const MovingDrive moving(brightness, places, 0.2, kStep);
+    Merger merger(moving.drive, std::vector<double>(5, 0.5));
+    // What is matched is what looks infinitely far.
+    for (int y = 0; y < kHeight; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        for (std::size_t k = 0; k < 5; ++k) {
+          if (moving.IsMover(k, x, y)) merger.matched[k].disparity.at(x, y) = 0.0F;
+        }
+        if (moving.IsMover(kCentre, x, y)) merger.map.disparity.at(x, y) = 0.0F;
+      }
+    }
+    const MergedView view = merger.Merge(MergeMovers::kRemove);
+    int mover = 0;
+    int left = 0;
+    for (int y = 8; y < kHeight - 8; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        if (!moving.IsMover(kCentre, x, y)) continue;
+        ++mover;
+        left += OffBy(view.radiance, moving.backgrounds[kCentre], x, y) > 0.3 ? 1 : 0;
+      }
+    }
+    ASSERT_GE(mover, 40);
+    EXPECT_LE(left, mover / 20) << "brightness " << brightness << ": of " << mover;
+  }
+}
+
+TEST(MergeRemovingMovers, OneInTheWayOfTheOthersAsWellIsNeverSeenTwice) {
+  for (const float brightness : {0.1F, 6.0F}) {
+    std::vector<std::optional<Eigen::Vector3d>> places;
+    for (int k = 0; k < 5; ++k) places.emplace_back(Eigen::Vector3d(0.9 - 0.3 * k, -2.0, 0.1));
+    const MovingDrive moving(brightness, places);
+    const MergedView view =
+        Merger(moving.drive, std::vector<double>(5, 0.5)).Merge(MergeMovers::kRemove);
+    int mover = 0;
+    int neither = 0;
+    int left = 0;
+    for (int y = 8; y < kHeight - 8; ++y) {
+      for (int x = 0; x < kWidth; ++x) {
+        const bool is_background = OffBy(view.radiance, moving.backgrounds[kCentre], x, y) <= 0.3;
+        const bool is_own =
+            OffBy(view.radiance, moving.drive.truths[kCentre].radiance, x, y) <= 0.3;
+        const bool is_mover = moving.IsMover(kCentre, x, y);
+        mover += is_mover ? 1 : 0;
+        left += is_mover && !is_background ? 1 : 0;
+        neither += !is_background && !is_own ? 1 : 0;
+      }
+    }
+    ASSERT_GE(mover, 150);
+    EXPECT_LE(neither, mover / 50) << "brightness " << brightness << ": of " << mover;
+    // Its outer parts are seen past by two others, its middle by none.
+    EXPECT_LE(left, mover * 2 / 3) << "brightness " << brightness << ": of " << mover;
   }
 }
 
