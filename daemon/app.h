@@ -213,8 +213,11 @@ class App final : public ApiBackend {
   std::atomic<bool> stopping_ = false;
   std::optional<double> last_odometer_m_;  // of the session that is continued
   std::string last_fault_;
-  std::map<std::string, std::string, std::less<>> link_problems_;  // as last logged
-  FloodGate link_log_;
+  struct LinkLog {
+    std::string problem;  // as last logged
+    FloodGate gate;
+  };
+  std::map<std::string, LinkLog, std::less<>> link_logs_;
   std::atomic<bool> shows_ = false;  // there are outputs, and they are not ended yet
   std::atomic<bool> show_wanted_ = false;
   HostTime storage_watched_;  // recorder thread

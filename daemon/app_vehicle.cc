@@ -56,7 +56,7 @@ void App::CheckLinks() {
   for (const auto& link : parts_.links) {
     const LinkReport report = link->report();
     const bool starting = report.opened == 0 && report.errors == 0;
-    std::string& logged = link_problems_[std::string(link->name())];
+    auto& [logged, gate] = link_logs_[std::string(link->name())];
     const std::string problem = starting ? "" : report.problem;
     if (!report.up && !problem.empty()) {
       missing += fmt::format("{}{}: {}", missing.empty() ? "" : "; ", link->name(), problem);
@@ -65,7 +65,7 @@ void App::CheckLinks() {
     if (problem.empty()) {
       spdlog::info("{}: works again", link->name());
       logged = problem;
-    } else if (const auto count = link_log_.Pass(clock_.Now())) {
+    } else if (const auto count = gate.Pass(clock_.Now())) {
       spdlog::warn("{}: {}{}", link->name(), problem,
                    *count > 1 ? fmt::format(" ({} such messages)", *count) : "");
       logged = problem;

@@ -67,7 +67,7 @@ Status AddVehicleParts(const DaemonConfig& config, const PartsContext& context, 
   }
   if (config.modbus.server.endpoint.connection != modbus::Connection::kOff) {
     OMNIHDR_TRY(config.modbus.server.Validate().Context("modbus.server"));
-    const auto server = std::make_shared<modbus::Server>(
+    const auto server = std::make_shared<modbus::StatusServer>(
         config.modbus.server, config.modbus.control ? context.command : CommandHandler{},
         WallClock());
     parts.links.push_back(server);

@@ -76,8 +76,8 @@ void Responder::Show(const ApplianceStatus& s) {
   }
   put32(kRegOdometer, odometer);
   for (std::size_t i = 0; i < std::min<std::size_t>(s.last_fault.size(), 64); ++i) {
-    const char c = s.last_fault[i];
-    const auto letter = static_cast<std::uint16_t>(c >= 0x20 && c < 0x7F ? c : '?');
+    const auto c = static_cast<unsigned char>(s.last_fault[i]);
+    const std::uint16_t letter = c >= 0x20 && c < 0x7F ? c : '?';
     registers_[kRegLastFault + i / 2] |=
         static_cast<std::uint16_t>(i % 2 == 0 ? letter << 8 : letter);
   }

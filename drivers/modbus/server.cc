@@ -29,7 +29,7 @@ constexpr auto kSerialGap = milliseconds(40);
 
 }  // namespace
 
-Server::Server(const ServerOptions& options, CommandHandler command, const Clock& clock)
+StatusServer::StatusServer(const ServerOptions& options, CommandHandler command, const Clock& clock)
     : options_(options),
       clock_(clock),
       wake_(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)),
@@ -38,7 +38,7 @@ Server::Server(const ServerOptions& options, CommandHandler command, const Clock
   responder_.Show(ApplianceStatus{});
 }
 
-Server::~Server() {
+StatusServer::~StatusServer() {
   if (!stage_) return;
   stage_->RequestStop();
   const std::uint64_t one = 1;
@@ -46,7 +46,7 @@ Server::~Server() {
   [[maybe_unused]] const ssize_t written = write(wake_.get(), &one, sizeof one);
 }
 
-Status Server::Start() {
+Status StatusServer::Start() {
   if (stage_) return {};
   OMNIHDR_TRY(options_.Validate().Context("modbus server"));
   stage_ = std::make_unique<Stage>(
@@ -54,23 +54,23 @@ Status Server::Start() {
   return {};
 }
 
-void Server::Show(const ApplianceStatus& status) {
+void StatusServer::Show(const ApplianceStatus& status) {
   std::lock_guard lock(mutex_);
   status_ = status;
   shown_ = true;
 }
 
-LinkReport Server::report() const {
+LinkReport StatusServer::report() const {
   std::lock_guard lock(mutex_);
   return report_;
 }
 
-void Server::CountError() {
+void StatusServer::CountError() {
   std::lock_guard lock(mutex_);
   ++report_.errors;
 }
 
-Status Server::Open() {
+Status StatusServer::Open() {
   if (options_.endpoint.connection == Connection::kRtu) {
     OMNIHDR_ASSIGN(serial_, OpenSerial(options_.endpoint));
     rtu_.Silence();
@@ -81,7 +81,7 @@ Status Server::Open() {
   return {};
 }
 
-Status Server::Run(std::stop_token stop, Stage& self) {
+Status StatusServer::Run(std::stop_token stop, Stage& self) {
   const bool serial = options_.endpoint.connection == Connection::kRtu;
   Nanoseconds pause = kFirstPause;
   while (!stop.stop_requested()) {
@@ -121,8 +121,8 @@ Status Server::Run(std::stop_token stop, Stage& self) {
   return {};
 }
 
-std::size_t Server::Answer(std::span<const std::uint8_t> request,
-                           std::span<std::uint8_t, kMaxPdu> answer) {
+std::size_t StatusServer::Answer(std::span<const std::uint8_t> request,
+                                 std::span<std::uint8_t, kMaxPdu> answer) {
   ApplianceStatus status;
   bool news = false;
   {
@@ -142,7 +142,7 @@ std::size_t Server::Answer(std::span<const std::uint8_t> request,
   return length;
 }
 
-Status Server::ServeTcp() {
+Status StatusServer::ServeTcp() {
   const HostTime now = clock_.Now();
   std::vector<pollfd> waiting;
   waiting.push_back({wake_.get(), POLLIN, 0});
@@ -169,7 +169,7 @@ Status Server::ServeTcp() {
   return {};
 }
 
-void Server::Accept() {
+void StatusServer::Accept() {
   while (true) {
     Fd fd(accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (!fd.valid()) {
@@ -191,7 +191,7 @@ void Server::Accept() {
   }
 }
 
-void Server::Hear(Connected& client) {
+void StatusServer::Hear(Connected& client) {
   bool read_all = false;
   for (int answered = 0; answered < kRequestsAtOnce;) {
     TcpFramer::Frame frame;
@@ -244,7 +244,7 @@ void Server::Hear(Connected& client) {
   client.rests_until = clock_.Now() + kRest;
 }
 
-Status Server::ServeSerial() {
+Status StatusServer::ServeSerial() {
   std::array<pollfd, 2> waiting = {{{wake_.get(), POLLIN, 0}, {serial_.get(), POLLIN, 0}}};
   const int timeout = rtu_.empty() ? kTurnMs : static_cast<int>(kSerialGap.count());
   if (poll(waiting.data(), waiting.size(), timeout) < 0 && errno != EINTR) {
@@ -262,7 +262,7 @@ Status Server::ServeSerial() {
   return {};
 }
 
-Status Server::HearSerial() {
+Status StatusServer::HearSerial() {
   std::array<std::uint8_t, 256> bytes{};
   const ssize_t got = read(serial_.get(), bytes.data(), bytes.size());
   if (got < 0 && (errno == EAGAIN || errno == EINTR)) return {};

@@ -30,11 +30,11 @@ struct ServerOptions {
 // own. What any number of clients send cannot block it, crash it, or make it hold more memory: a
 // client that sends what is no Modbus, does not read its answers or is silent is let go; one that
 // sends without pause is slowed down to 1600 requests a second.
-class Server final : public StatusOutput, public VehicleLink {
+class StatusServer final : public StatusOutput, public VehicleLink {
  public:
   // `command` empty: the server only shows. `clock` must outlive the server.
-  Server(const ServerOptions& options, CommandHandler command, const Clock& clock);
-  ~Server() override;
+  StatusServer(const ServerOptions& options, CommandHandler command, const Clock& clock);
+  ~StatusServer() override;
 
   std::string_view name() const override { return "modbus server"; }
   Status Start() override;

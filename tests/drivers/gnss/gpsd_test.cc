@@ -2,20 +2,21 @@
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <pty.h>
 #include <signal.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
+#include <termios.h>
 #include <unistd.h>
 
+#include <array>
 #include <chrono>
 #include <cmath>
-#include <fstream>
 #include <functional>
 #include <thread>
 
 #include "core/base/tcp.h"
 #include "drivers/gnss/gpsd_client.h"
-#include "tests/support/temporary_directory.h"
 
 namespace omnihdr::gpsd_test {
 namespace {
@@ -240,7 +241,7 @@ TEST(GpsdClient, OptionsOutOfRangeAreNamed) {
   EXPECT_THAT(options.Validate().error().message, HasSubstr("max_age_s: 0"));
 }
 
-// ---- a real gpsd, fed by gpsfake
+// ---- a real gpsd, fed through a pseudo-terminal
 
 std::string Sentence(const std::string& body) {
   unsigned sum = 0;
@@ -248,66 +249,76 @@ std::string Sentence(const std::string& body) {
   return fmt::format("${}*{:02X}\r\n", body, sum);
 }
 
-// A receiver that drives north at 5 m/s from 52.5 N, 13.4 E, five minutes long.
-std::string Drive() {
-  std::string text;
-  for (int i = 0; i < 300; ++i) {
-    const std::string time = fmt::format("12{:02}{:02}.00", i / 60, i % 60);
-    const double minutes = 30.0 + i * 0.0027;
-    const std::string place = fmt::format("52{:07.4f},N,01324.0000,E", minutes);
-    text += Sentence(fmt::format("GPRMC,{},A,{},9.7,000.5,010126,,,D", time, place));
-    text += Sentence(fmt::format("GPGGA,{},{},2,09,0.9,40.0,M,46.0,M,,", time, place));
-    text += Sentence("GPGSA,A,3,04,05,09,12,24,25,29,31,02,,,,1.6,0.9,1.3");
-  }
-  return text;
+// A second of a receiver that drives north at 5 m/s from 52.5 N, 13.4 E.
+std::string Second(int i) {
+  const std::string time = fmt::format("12{:02}{:02}.00", i / 60 % 60, i % 60);
+  const std::string place = fmt::format("52{:07.4f},N,01324.0000,E", 30.0 + i * 0.0027);
+  return Sentence(fmt::format("GPRMC,{},A,{},9.7,000.5,010126,,,D", time, place)) +
+         Sentence(fmt::format("GPGGA,{},{},2,09,0.9,40.0,M,46.0,M,,", time, place)) +
+         Sentence("GPGSA,A,3,04,05,09,12,24,25,29,31,02,,,,1.6,0.9,1.3");
 }
 
-bool Installed(const std::string& program) {
-  for (const char* folder : {"/usr/bin/", "/usr/sbin/", "/usr/local/bin/", "/usr/local/sbin/"}) {
-    if (access((folder + program).c_str(), X_OK) == 0) return true;
+const char* InstalledGpsd() {
+  for (const char* path : {"/usr/sbin/gpsd", "/usr/local/sbin/gpsd"}) {
+    if (access(path, X_OK) == 0) return path;
   }
-  return false;
+  return nullptr;
 }
 
-// gpsfake with its gpsd, ended with all it has started.
-class GpsFake {
+// A gpsd with a receiver that lives ten times too fast.
+class RealGpsd {
  public:
-  GpsFake(const std::string& log, int port) {
-    pid_ = fork();
-    if (pid_ != 0) return;
-    setpgid(0, 0);
-    setenv("PATH", "/usr/bin:/bin:/usr/sbin:/usr/local/bin:/usr/local/sbin", 1);
-    const int null = open("/dev/null", O_RDWR);
-    for (const int fd : {0, 1, 2}) dup2(null, fd);
+  RealGpsd(const char* program, int port) {
+    int master = -1;
+    int slave = -1;
+    std::array<char, 128> name{};
+    if (openpty(&master, &slave, name.data(), nullptr, nullptr) != 0) return;
+    receiver_ = Fd(master);
+    line_ = Fd(slave);
+    termios raw{};
+    tcgetattr(slave, &raw);
+    cfmakeraw(&raw);
+    tcsetattr(slave, TCSANOW, &raw);
+    fcntl(master, F_SETFL, O_NONBLOCK);
     const std::string text = std::to_string(port);
-    execlp("gpsfake", "gpsfake", "-q", "-c", "0.05", "-P", text.c_str(), log.c_str(), nullptr);
-    _exit(127);
-  }
-  ~GpsFake() {
-    // gpsfake ends its gpsd when it is interrupted; what is left after that goes with the group.
-    kill(-pid_, SIGINT);
-    int status = 0;
-    if (!Eventually([&] { return waitpid(pid_, &status, WNOHANG) == pid_; })) {
-      kill(-pid_, SIGKILL);
-      waitpid(pid_, &status, 0);
-      return;
+    pid_ = fork();
+    if (pid_ == 0) {
+      const int null = open("/dev/null", O_RDWR);
+      for (const int fd : {0, 1, 2}) dup2(null, fd);
+      execl(program, program, "-N", "-n", "-b", "-S", text.c_str(), name.data(), nullptr);
+      _exit(127);
     }
-    kill(-pid_, SIGKILL);
+    feeder_ = std::jthread([this](std::stop_token stop) {
+      for (int i = 0; !stop.stop_requested(); ++i) {
+        const std::string text_of_second = Second(i);
+        // What a gpsd that has gone does not read is lost, as a receiver would lose it.
+        [[maybe_unused]] const ssize_t written =
+            write(receiver_.get(), text_of_second.data(), text_of_second.size());
+        std::this_thread::sleep_for(std::chrono::milliseconds(100));
+      }
+    });
   }
-  GpsFake(const GpsFake&) = delete;
-  GpsFake& operator=(const GpsFake&) = delete;
+  ~RealGpsd() {
+    if (pid_ <= 0) return;
+    kill(pid_, SIGTERM);
+    int status = 0;
+    if (Eventually([&] { return waitpid(pid_, &status, WNOHANG) == pid_; })) return;
+    kill(pid_, SIGKILL);
+    waitpid(pid_, &status, 0);
+  }
+  RealGpsd(const RealGpsd&) = delete;
+  RealGpsd& operator=(const RealGpsd&) = delete;
 
  private:
+  Fd receiver_;
+  Fd line_;  // kept open: the line does not hang up before gpsd has opened it
   pid_t pid_ = -1;
+  std::jthread feeder_;
 };
 
-TEST(RealGpsd, AReceiversFixesComeThroughARealGpsd) {
-  if (!Installed("gpsd") || !Installed("gpsfake")) {
-    GTEST_SKIP() << "gpsd and gpsfake are not installed (Debian packages gpsd, gpsd-clients)";
-  }
-  const testing::TemporaryDirectory directory;
-  const std::string log = (directory.path() / "drive.nmea").string();
-  std::ofstream(log) << Drive();
+TEST(GpsdClient, AReceiversFixesComeThroughARealGpsd) {
+  const char* const program = InstalledGpsd();
+  if (program == nullptr) GTEST_SKIP() << "gpsd is not installed (Debian package gpsd)";
   int port = 0;
   {
     const Result<Fd> free_port = ListenTcp("127.0.0.1", 0);
@@ -320,7 +331,7 @@ TEST(RealGpsd, AReceiversFixesComeThroughARealGpsd) {
   gnss::GpsdClient client(options, clock);
   ASSERT_TRUE(client.Start());  // before there is a gpsd
   ASSERT_TRUE(Eventually([&] { return client.report().errors > 0; }));
-  const GpsFake fake(log, port);
+  const RealGpsd gpsd(program, port);
   ASSERT_TRUE(Eventually(
       [&] {
         const auto fix = client.Fix(clock.Now());

@@ -95,6 +95,7 @@ TEST_F(ModbusVehicle, ItReadsOverASerialLine) {
   EXPECT_TRUE(Reads(vehicle, 7.0));
   slave.SetHolding32(10, 7'500);
   EXPECT_TRUE(Reads(vehicle, 7.5));
+  slave.Stop();  // before its line goes
 }
 
 TEST_F(ModbusVehicle, AVehicleThatFallsSilentIsStaleWithItsReasonAndComesBack) {
