@@ -97,6 +97,7 @@ struct IidcCameraConfig {
   int settle_frames = -1;       // thrown away after a change of exposure; -1 = as the model needs
   int white_balance_blue = -1;  // register values; -1 = as the camera has them
   int white_balance_red = -1;
+  std::string usb_recording;  // file for the camera's USB traffic; empty = none
 };
 
 // [camera]

@@ -254,6 +254,8 @@ std::vector<ConfigKey> MakeKeys() {
             OMNIHDR_MEMBER(camera.iidc.white_balance_blue)));
   add(Whole("camera.iidc.white_balance_red", "a register value", -1, 4095,
             OMNIHDR_MEMBER(camera.iidc.white_balance_red)));
+  add(Path("camera.iidc.usb_recording", "a file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.iidc.usb_recording)));
 
   add(Choice("bracket.order",
              std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},

@@ -48,6 +48,7 @@ CameraOptions MakeIidcOptions(const CameraConfig& config) {
   options.settle_frames = from.settle_frames;
   options.white_balance_blue = from.white_balance_blue;
   options.white_balance_red = from.white_balance_red;
+  options.usb_recording = from.usb_recording;
   options.frame_timeout_s = config.frame_timeout_s;
   return options;
 }

@@ -11,6 +11,7 @@
 #include "drivers/iidc/trigger_mode.h"
 #include "drivers/iidc/usb_link.h"
 #include "drivers/usb/libusb_bus.h"
+#include "drivers/usb/recording.h"
 
 namespace omnihdr::iidc {
 namespace {
@@ -445,7 +446,11 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
 }
 
 std::unique_ptr<Camera> MakeUsbIidcCamera(IidcCameraOptions options) {
-  return std::make_unique<IidcCamera>(std::move(options), MakeUsbFinder(usb::MakeLibusbBus()));
+  std::shared_ptr<usb::Bus> bus = usb::MakeLibusbBus();
+  if (!options.usb_recording.empty()) {
+    bus = usb::MakeRecordingBus(std::move(bus), {.file = options.usb_recording});
+  }
+  return std::make_unique<IidcCamera>(std::move(options), MakeUsbFinder(std::move(bus)));
 }
 
 }  // namespace omnihdr::iidc

@@ -25,13 +25,13 @@ struct EmulatedIidc {
   iidc::IidcCameraOptions CameraOptions() const {
     iidc::IidcCameraOptions options;
     options.rig_file = rig();
-    options.frame_timeout_s = 0.3;
+    options.frame_timeout_s = 4.0;  // the machine may be busy
     return options;
   }
   static iidc::RegisterTimeouts Timeouts() {
     iidc::RegisterTimeouts timeouts;
     timeouts.access = std::chrono::milliseconds(20);
-    timeouts.settle = std::chrono::milliseconds(100);
+    timeouts.settle = std::chrono::seconds(1);
     return timeouts;
   }
   std::unique_ptr<iidc::IidcCamera> MakeCamera(const iidc::IidcCameraOptions& options) {

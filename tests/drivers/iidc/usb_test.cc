@@ -77,8 +77,8 @@ class UsbTest : public ::testing::Test {
   }
   static iidc::RegisterTimeouts EmulatedTimeouts() {
     iidc::RegisterTimeouts timeouts;
-    timeouts.access = milliseconds(300);
-    timeouts.settle = milliseconds(500);
+    timeouts.access = seconds(3);
+    timeouts.settle = seconds(3);
     return timeouts;
   }
   void Trigger() {
