@@ -107,11 +107,11 @@ struct GnssFix {
   // reckoning, 8 simulated.
   int fix = 0;
   // Optional keys: how good it is.
-  int dimensions = 0;                  // 2 = alt_m is not known, 3 = it is; 0 = not said
-  std::optional<double> error_m;       // horizontal, as the receiver estimates it
-  std::optional<double> time_error_s;  // of `time`
-  std::string time_source;             // where `time` comes from: "gnss", "gnss+pps"
-  std::optional<double> age_s;         // from its arrival to the moment of the frame
+  int dimensions = 0;                            // 2 = alt_m is not known, 3 = it is; 0 = not said
+  std::optional<double> error_m = std::nullopt;  // horizontal, as the receiver estimates it
+  std::optional<double> time_error_s = std::nullopt;  // of `time`
+  std::string time_source = {};                       // where `time` comes from: "gnss", "gnss+pps"
+  std::optional<double> age_s = std::nullopt;         // from its arrival to the moment of the frame
 };
 
 // One line of frames.jsonl.
