@@ -78,12 +78,15 @@ Status App::Run() {
   PartsContext context;
   context.first_trigger = journaled_;
   context.room = [this] { return recorder_.free_buffers() > 0; };
+  context.last_odometer_m = last_odometer_m_;
+  context.command = [this](ApplianceCommand command) { return Command(command); };
   OMNIHDR_ASSIGN(parts_, make_parts_(context));
   OMNIHDR_TRY(StartLoop());
   ApiServerOptions api;
   api.socket = config_.api.socket;
   api.socket_mode = config_.api.socket_mode;
   OMNIHDR_ASSIGN(api_, ApiServer::Listen(api, *this, hub_));
+  OMNIHDR_TRY(StartLinks());
   StartStages();
   state_.Update([](CaptureConditions& c) {
     c.started = true;
@@ -103,6 +106,7 @@ Status App::ResumeSession() {
   for (const FrameRecord& record : contents.journal.frames) {
     lines_.Add(record.status);
     if (record.status == FrameStatus::kOk) with_pixels.insert(Value(record.position));
+    if (record.odometer_m) last_odometer_m_ = record.odometer_m;
   }
   journaled_ = writer.next_frame();
   positions_with_pixels_ = with_pixels.size();
@@ -193,6 +197,7 @@ Status App::TearDown() {
   hub_.Close();
   api_.reset();
   if (source_running_) parts_.triggers->Stop();
+  StopLinks();
   Status outcome = std::move(outcome_);
   const auto join = [&outcome](std::unique_ptr<Stage>& stage) {
     if (!stage) return;

@@ -4,18 +4,22 @@
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
 #include "core/base/stage.h"
+#include "core/capture/appliance.h"
 #include "core/capture/camera_runner.h"
 #include "core/capture/capture_controller.h"
 #include "core/capture/capture_state.h"
 #include "core/capture/recorder.h"
+#include "core/capture/storage_forecast.h"
 #include "core/pipeline/session_processor.h"
 #include "core/ports/camera.h"
 #include "core/ports/trigger.h"
@@ -34,8 +38,14 @@ namespace omnihdr {
 // tests.
 struct AppParts {
   std::shared_ptr<Camera> camera;
-  std::unique_ptr<TriggerSource> triggers;
+  std::shared_ptr<TriggerSource> triggers;
   std::shared_ptr<PositionSource> positions;  // may be null
+  std::shared_ptr<PlaceSource> place;         // may be null
+  // Connections to the vehicle, started and ended by the daemon; where its status is shown, and the
+  // line that tells of every picture (may be null).
+  std::vector<std::shared_ptr<VehicleLink>> links;
+  std::vector<std::shared_ptr<StatusOutput>> outputs;
+  std::shared_ptr<StrobeOutput> strobe;
   // Opens the pipeline over a session directory; empty = no views are made here.
   std::function<Result<std::unique_ptr<SessionProcessor>>(const std::filesystem::path& session,
                                                           ProcessorCallbacks callbacks)>
@@ -45,6 +55,8 @@ struct PartsContext {
   std::uint64_t first_trigger =
       0;                       // number of the next trigger: more than 0 in a continued session
   std::function<bool()> room;  // whether a frame buffer is free; any thread
+  std::optional<double> last_odometer_m;  // the last place in the journal of a continued session
+  CommandHandler command;                 // for masters on a field bus
 };
 using MakeParts = std::function<Result<AppParts>(const PartsContext&)>;
 
@@ -136,6 +148,19 @@ class App final : public ApiBackend {
   StatusReport BuildStatus() const;
   ApiReply OnLoop(std::function<ApiReply()> function);
   ApiReply ArmNow();
+  ApiReply DisarmNow();
+  ApiReply TriggerNow();
+  // From outside, for field buses; any thread but the loop's.
+  Status Command(ApplianceCommand command);
+
+  // The vehicle (app_vehicle.cc).
+  Status StartLinks();
+  void StopLinks();
+  void CheckLinks();    // main loop
+  void ShowSoon();      // any thread
+  void ShowStatus();    // main loop
+  void WatchStorage();  // recorder thread
+  Status CommandCamera(const ExposureRequest& request);
 
   std::shared_ptr<Session> session() const;
   CaptureController* controller() const { return controller_.load(std::memory_order_acquire); }
@@ -166,6 +191,7 @@ class App final : public ApiBackend {
   std::string views_error_;
   bool finish_views_ = false;
   std::condition_variable_any journal_grew_;
+  StorageForecast storage_forecast_;
 
   // Loop thread.
   Phase phase_ = Phase::kRunning;
@@ -185,6 +211,16 @@ class App final : public ApiBackend {
   Supervisor supervisor_;
   Nanoseconds supervise_interval_ = std::chrono::seconds(1);
   std::atomic<bool> stopping_ = false;
+  std::optional<double> last_odometer_m_;  // of the session that is continued
+  std::string last_fault_;
+  struct LinkLog {
+    std::string problem;  // as last logged
+    FloodGate gate;
+  };
+  std::map<std::string, LinkLog, std::less<>> link_logs_;
+  std::atomic<bool> shows_ = false;  // there are outputs, and they are not ended yet
+  std::atomic<bool> show_wanted_ = false;
+  HostTime storage_watched_;  // recorder thread
 
   Recorder recorder_;
   FloodGate drop_log_;     // recorder thread

@@ -28,6 +28,7 @@ void App::OnStateChanged(const StateReport& report) {
   notifier_.StatusText(text);
   hub_.Publish({{"event", "state"}, {"state", ToString(report.state)}, {"reason", report.reason}});
   spdlog::debug("state {}", text);
+  ShowSoon();
 }
 
 void App::OnSignal(int signal) {
@@ -66,6 +67,7 @@ Result<AcceptedTrigger> App::HandleTrigger(const TriggerEvent& event) {
                          {"exposure_s", accepted->exposure.time.seconds()}};
   if (accepted->odometer_m) json["odometer_m"] = *accepted->odometer_m;
   hub_.Publish(json);
+  ShowSoon();
   return accepted;
 }
 
@@ -237,6 +239,8 @@ void App::CheckDrained() {
 
 void App::Supervise() {
   supervise_timer_->Set(clock_.Now() + supervise_interval_);
+  CheckLinks();
+  ShowStatus();
   for (const auto* stage : {&camera_stage_, &recorder_stage_, &pipeline_stage_}) {
     if (!*stage || !(*stage)->finished() || phase_ == Phase::kStopping) continue;
     outcome_ = (*stage)->Join();
@@ -289,6 +293,7 @@ StatusReport App::BuildStatus() const {
     s.views_reduced = static_cast<std::uint64_t>(std::max(views_.views_reduced, 0));
     s.last_view = last_view_;
     s.views_error = views_error_;
+    s.minutes_left = storage_forecast_.MinutesLeft();
   }
   if (const CaptureController* capture = controller()) {
     const TriggerId next = capture->next_trigger();
@@ -307,7 +312,15 @@ StatusReport App::BuildStatus() const {
                                   static_cast<std::uint64_t>(config_.bracket.frames_per_position)) +
         1;
   }
-  if (parts_.positions) s.odometer_m = parts_.positions->OdometerMetres(clock_.Now());
+  const HostTime now = clock_.Now();
+  if (parts_.positions) s.odometer_m = parts_.positions->OdometerMetres(now);
+  if (parts_.place) {
+    s.gnss = parts_.place->Fix(now);
+    s.heading_deg = parts_.place->HeadingDeg(now);
+  }
+  for (const auto& link : parts_.links) {
+    s.links.emplace_back(std::string(link->name()), link->report());
+  }
   return s;
 }
 
@@ -344,35 +357,39 @@ ApiReply App::Arm() {
   });
 }
 
+ApiReply App::DisarmNow() {
+  StopSource();
+  armed_ = false;
+  state_.Update([](CaptureConditions& c) { c.armed = false; });
+  spdlog::info("disarmed");
+  return {200, {{"armed", false}, {"state", ToString(state_.report().state)}}};
+}
+
 ApiReply App::Disarm() {
-  return OnLoop([this]() -> ApiReply {
-    StopSource();
-    armed_ = false;
-    state_.Update([](CaptureConditions& c) { c.armed = false; });
-    spdlog::info("disarmed");
-    return {200, {{"armed", false}, {"state", ToString(state_.report().state)}}};
-  });
+  return OnLoop([this] { return DisarmNow(); });
+}
+
+ApiReply App::TriggerNow() {
+  if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
+  if (phase_ != Phase::kRunning) return ApiReply::Refused(409, "the session has ended");
+  if (!armed_) return ApiReply::Refused(409, "disarmed: arm first");
+  if (controller() == nullptr) {
+    return ApiReply::Refused(503, fmt::format("no session yet: {}", state_.report().reason));
+  }
+  TriggerEvent event;
+  event.time = clock_.Now();
+  const Result<AcceptedTrigger> accepted = HandleTrigger(event);
+  if (!accepted) return ApiReply::Refused(503, accepted.error().message);
+  CheckSeriesEnd();
+  return {200,
+          {{"trigger", Value(accepted->trigger)},
+           {"position", Value(accepted->position)},
+           {"step", accepted->step},
+           {"exposure_s", accepted->exposure.time.seconds()}}};
 }
 
 ApiReply App::Trigger() {
-  return OnLoop([this]() -> ApiReply {
-    if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
-    if (phase_ != Phase::kRunning) return ApiReply::Refused(409, "the session has ended");
-    if (!armed_) return ApiReply::Refused(409, "disarmed: arm first");
-    if (controller() == nullptr) {
-      return ApiReply::Refused(503, fmt::format("no session yet: {}", state_.report().reason));
-    }
-    TriggerEvent event;
-    event.time = clock_.Now();
-    const Result<AcceptedTrigger> accepted = HandleTrigger(event);
-    if (!accepted) return ApiReply::Refused(503, accepted.error().message);
-    CheckSeriesEnd();
-    return {200,
-            {{"trigger", Value(accepted->trigger)},
-             {"position", Value(accepted->position)},
-             {"step", accepted->step},
-             {"exposure_s", accepted->exposure.time.seconds()}}};
-  });
+  return OnLoop([this] { return TriggerNow(); });
 }
 
 ApiReply App::Finish() {

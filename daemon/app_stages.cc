@@ -121,8 +121,8 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     owned_controller_ = std::make_unique<CaptureController>(
         std::move(*plan), info.description, MakeCaptureOptions(config_, info),
         TriggerId{session->store.writer().next_frame()}, recorder_,
-        [this](const ExposureRequest& request) { return runner_->Command(request); },
-        parts_.positions.get(), clock_);
+        [this](const ExposureRequest& request) { return CommandCamera(request); },
+        parts_.positions.get(), clock_, parts_.place.get());
     controller_.store(owned_controller_.get(), std::memory_order_release);
   }
   return {};
@@ -147,6 +147,7 @@ Status App::RunRecorder(std::stop_token stop, Stage& self) {
   while (true) {
     const Recorder::Turn turn = recorder_.Step(session->store, milliseconds(100));
     self.Progress();
+    WatchStorage();
     if (stop.stop_requested()) {
       if (turn == Recorder::Turn::kIdle) return {};
       if (!give_up) give_up = clock_.Now() + seconds(10);
@@ -170,6 +171,7 @@ void App::OnJournaled(const FrameRecord& record) {
     }
   }
   journal_grew_.notify_all();
+  ShowSoon();
   nlohmann::json event = {{"event", "frame"},
                           {"frame", Value(record.frame)},
                           {"position", Value(record.position)},

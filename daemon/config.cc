@@ -132,11 +132,16 @@ class Loader {
       Problem(line_of("camera.driver"), "camera.replay.session",
               "\"\", expected a session directory with camera.driver = \"replay\"");
     }
+    if (config.camera.driver == CameraDriver::kIidc && config.camera.iidc.rig.empty()) {
+      Problem(line_of("camera.driver"), "camera.iidc.rig",
+              "\"\", expected the rig file of the camera's head with camera.driver = \"iidc\"");
+    }
     if (config.trigger.source == TriggerKind::kReplay &&
         config.camera.driver != CameraDriver::kReplay) {
       Problem(line_of("trigger.source"), "trigger.source",
               "\"replay\", expected another source unless camera.driver = \"replay\"");
     }
+    CheckVehicle(line_of);
     const BracketConfig& bracket = config.bracket;
     if (bracket.start_s > 0.0) {
       const double longest = bracket.Exposures().back().seconds();
@@ -171,6 +176,48 @@ class Loader {
   LoadedConfig Take() && { return std::move(loaded_); }
 
  private:
+  // [trigger], [gpio], [modbus] and [gnss] against each other.
+  template <typename LineOf>
+  void CheckVehicle(const LineOf& line_of) {
+    const DaemonConfig& config = loaded_.config;
+    const auto check = [&](const char* key, const char* section, const Status& valid) {
+      if (!valid) Problem(line_of(key), section, valid.error().message);
+    };
+    const gpio::InputsOptions& inputs = config.gpio.inputs;
+    const bool client = config.modbus.client.endpoint.connection != modbus::Connection::kOff;
+    check("gpio.trigger.line", "gpio", inputs.Validate());
+    check("gpio.outputs.chip", "gpio", config.gpio.outputs.Validate());
+    if (client) check("modbus.client.connection", "modbus.client", config.modbus.client.Validate());
+    if (config.modbus.server.endpoint.connection != modbus::Connection::kOff) {
+      check("modbus.server.connection", "modbus.server", config.modbus.server.Validate());
+    }
+    if (config.trigger.source == TriggerKind::kGpio && !inputs.trigger.name.configured()) {
+      Problem(line_of("trigger.source"), "gpio.trigger.line",
+              "\"\", expected a line with trigger.source = \"gpio\"");
+    }
+    if (inputs.trigger.name.configured() && inputs.trigger.name.line == inputs.wheel.name.line &&
+        inputs.trigger.name.chip == inputs.wheel.name.chip) {
+      Problem(line_of("gpio.wheel.line"), "gpio.wheel.line",
+              fmt::format("{}, expected another line than gpio.trigger.line",
+                          TomlText(inputs.wheel.name.line)));
+    }
+    if (config.trigger.odometer == OdometerKind::kWheel) {
+      if (!inputs.wheel.name.configured()) {
+        Problem(line_of("trigger.odometer"), "gpio.wheel.line",
+                "\"\", expected a line with trigger.odometer = \"wheel\"");
+      } else if (config.trigger.distance_m * inputs.pulses_per_metre < 1.0) {
+        Problem(line_of("trigger.distance_m"), "trigger.distance_m",
+                fmt::format("{}, expected at least one pulse of the wheel, {:g} m",
+                            TomlText(config.trigger.distance_m), 1.0 / inputs.pulses_per_metre));
+      }
+    }
+    if (config.trigger.odometer == OdometerKind::kModbus &&
+        (!client || !config.modbus.client.odometer.configured())) {
+      Problem(line_of("trigger.odometer"), "modbus.client.odometer.register",
+              "-1, expected a register, and a connection, with trigger.odometer = \"modbus\"");
+    }
+  }
+
   std::string DefaultFile() const {
     return loaded_.files.empty() ? std::string("built-in default") : loaded_.files.front();
   }
@@ -212,7 +259,21 @@ std::string_view ToString(OnExistingSession value) {
 }
 
 std::string_view ToString(CameraDriver value) {
-  return value == CameraDriver::kSim ? "sim" : "replay";
+  switch (value) {
+    case CameraDriver::kSim:
+      return "sim";
+    case CameraDriver::kReplay:
+      return "replay";
+    case CameraDriver::kIidc:
+      return "iidc";
+  }
+  return "?";
+}
+
+std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
+
+std::string_view ToString(IidcCoding value) {
+  return value == IidcCoding::kRaw8 ? "raw8" : "mono8";
 }
 
 std::string_view ToString(SimScene value) {
@@ -239,8 +300,22 @@ std::string_view ToString(TriggerKind value) {
       return "timer";
     case TriggerKind::kDistance:
       return "distance";
+    case TriggerKind::kGpio:
+      return "gpio";
     case TriggerKind::kReplay:
       return "replay";
+  }
+  return "?";
+}
+
+std::string_view ToString(OdometerKind value) {
+  switch (value) {
+    case OdometerKind::kSim:
+      return "sim";
+    case OdometerKind::kWheel:
+      return "wheel";
+    case OdometerKind::kModbus:
+      return "modbus";
   }
   return "?";
 }

@@ -12,6 +12,11 @@
 #include "core/pipeline/options.h"
 #include "core/pipeline/quality.h"
 #include "core/session/session.h"
+#include "drivers/gnss/gpsd_client.h"
+#include "drivers/gpio/inputs.h"
+#include "drivers/gpio/outputs.h"
+#include "drivers/modbus/server.h"
+#include "drivers/modbus/vehicle.h"
 
 namespace omnihdr {
 
@@ -23,17 +28,23 @@ namespace omnihdr {
 inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.toml";
 
 enum class OnExistingSession { kResume, kRefuse };
-enum class CameraDriver { kSim, kReplay };
+enum class CameraDriver { kSim, kReplay, kIidc };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
-enum class TriggerKind { kSoftware, kTimer, kDistance, kReplay };
+enum class IidcFormat { kRaw, kJpeg };
+enum class IidcCoding { kRaw8, kMono8 };
+enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
+enum class OdometerKind { kSim, kWheel, kModbus };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
 
 std::string_view ToString(OnExistingSession value);
 std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
+std::string_view ToString(IidcFormat value);
+std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
+std::string_view ToString(OdometerKind value);
 std::string_view ToString(LogLevel value);
 
 // [session]
@@ -71,6 +82,24 @@ struct ReplayCameraConfig {
   std::string session;  // directory; required when camera.driver = "replay"
 };
 
+// [camera.iidc]
+struct IidcCameraConfig {
+  std::string id;   // GUID or serial number; empty = the only camera there
+  std::string rig;  // rig file; required when camera.driver = "iidc"
+  IidcFormat format = IidcFormat::kRaw;
+  int jpeg_quality = 90;
+  int mode = 0;  // Format7 mode
+  IidcCoding coding = IidcCoding::kRaw8;
+  int left = 0;  // of the picture on the sensor
+  int top = 0;
+  int packet_bytes = 0;         // 0 = as the camera recommends
+  int trigger_mode = 0;         // 0, 14 or 15
+  int settle_frames = -1;       // thrown away after a change of exposure; -1 = as the model needs
+  int white_balance_blue = -1;  // register values; -1 = as the camera has them
+  int white_balance_red = -1;
+  std::string usb_recording;  // file for the camera's USB traffic; empty = none
+};
+
 // [camera]
 struct CameraConfig {
   CameraDriver driver = CameraDriver::kSim;
@@ -79,6 +108,7 @@ struct CameraConfig {
   double reconnect_s = 2.0;          // between attempts to open a camera that has gone
   SimCameraConfig sim;
   ReplayCameraConfig replay;
+  IidcCameraConfig iidc;
 };
 
 // [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The
@@ -98,10 +128,35 @@ struct BracketConfig {
 // [trigger]
 struct TriggerConfig {
   TriggerKind source = TriggerKind::kSoftware;
-  double interval_s = 1.0;  // timer
-  double distance_m = 0.3;  // distance
-  std::uint64_t limit = 0;  // triggers after which the source disarms; 0 = none
+  double interval_s = 1.0;                     // timer
+  double distance_m = 0.3;                     // distance
+  OdometerKind odometer = OdometerKind::kSim;  // whose metres are journaled and whose marks trigger
+  std::uint64_t limit = 0;                     // triggers after which the source disarms; 0 = none
   bool armed_at_start = false;
+};
+
+// [gpio.trigger] and [gpio.wheel] in `inputs`, [gpio.outputs]
+struct GpioConfig {
+  gpio::InputsOptions inputs;
+  gpio::OutputsOptions outputs;
+};
+
+// [modbus.client] in `client`, [modbus.server] in `server` and `control`
+struct ModbusConfig {
+  ModbusConfig() {
+    client.endpoint.connection = modbus::Connection::kOff;
+    server.endpoint.connection = modbus::Connection::kOff;
+    server.endpoint.port = 1502;
+  }
+  modbus::VehicleOptions client;
+  modbus::ServerOptions server;
+  bool control = false;  // whether masters may command
+};
+
+// [gnss]
+struct GnssConfig {
+  bool enabled = false;
+  gnss::GpsdOptions gpsd;
 };
 
 // [recorder]
@@ -134,6 +189,9 @@ struct DaemonConfig {
   CameraConfig camera;
   BracketConfig bracket;
   TriggerConfig trigger;
+  GpioConfig gpio;
+  ModbusConfig modbus;
+  GnssConfig gnss;
   RecorderConfig recorder;
   ApiConfig api;
   LogConfig log;

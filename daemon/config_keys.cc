@@ -9,183 +9,14 @@
 #include <optional>
 #include <utility>
 
+#include "daemon/config_key_makers.h"
+
 namespace omnihdr {
 namespace {
 
 namespace fs = std::filesystem;
 
-// Every maker takes an accessor from a config to the member, so that a key is one line below.
-template <typename T>
-using Member = T& (*)(DaemonConfig&);
-
-template <typename T>
-T Get(DaemonConfig copy, Member<T> member) {
-  return member(copy);
-}
-
-std::optional<double> AsNumber(const TomlValue& value) {
-  if (value.type == TomlValue::Type::kFloat && std::isfinite(value.real)) return value.real;
-  if (value.type == TomlValue::Type::kInteger) return static_cast<double>(value.integer);
-  return std::nullopt;
-}
-
-ConfigKey Number(std::string name, std::string_view unit, double low, double high,
-                 Member<double> member) {
-  return {std::move(name), fmt::format("{} in [{:g}, {:g}]", unit, low, high),
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-            const std::optional<double> number = AsNumber(value);
-            if (!number || *number < low || *number > high) return false;
-            member(config) = *number;
-            return true;
-          },
-          [=](const DaemonConfig& config) { return TomlText(Get(config, member)); }};
-}
-
-// 0 switches off; else a number in [low, high].
-ConfigKey NumberOrZero(std::string name, std::string_view unit, std::string_view zero, double low,
-                       double high, Member<double> member) {
-  return {std::move(name), fmt::format("{} in [{:g}, {:g}], or 0 {}", unit, low, high, zero),
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-            const std::optional<double> number = AsNumber(value);
-            if (!number || (*number != 0.0 && (*number < low || *number > high))) return false;
-            member(config) = *number;
-            return true;
-          },
-          [=](const DaemonConfig& config) { return TomlText(Get(config, member)); }};
-}
-
-template <typename T>
-ConfigKey Whole(std::string name, std::string_view unit, std::int64_t low, std::int64_t high,
-                Member<T> member) {
-  return {std::move(name), fmt::format("{} in [{}, {}]", unit, low, high),
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-            if (value.type != TomlValue::Type::kInteger || value.integer < low ||
-                value.integer > high) {
-              return false;
-            }
-            member(config) = static_cast<T>(value.integer);
-            return true;
-          },
-          [=](const DaemonConfig& config) { return fmt::format("{}", Get(config, member)); }};
-}
-
-// An even number of pixels in [low, high], or 0 when `zero` says what that means.
-ConfigKey EvenPixels(std::string name, std::string_view zero, int low, int high,
-                     Member<int> member) {
-  const bool zero_allowed = !zero.empty();
-  return {std::move(name),
-          fmt::format("an even number of pixels in [{}, {}]{}{}", low, high,
-                      zero_allowed ? ", or 0 " : "", zero),
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-            if (value.type != TomlValue::Type::kInteger) return false;
-            const bool in_range =
-                value.integer >= low && value.integer <= high && value.integer % 2 == 0;
-            if (!in_range && !(zero_allowed && value.integer == 0)) return false;
-            member(config) = static_cast<int>(value.integer);
-            return true;
-          },
-          [=](const DaemonConfig& config) { return fmt::format("{}", Get(config, member)); }};
-}
-
-ConfigKey Switch(std::string name, Member<bool> member) {
-  return {std::move(name), "true or false",
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path&) {
-            if (value.type != TomlValue::Type::kBoolean) return false;
-            member(config) = value.boolean;
-            return true;
-          },
-          [=](const DaemonConfig& config) {
-            return std::string(Get(config, member) ? "true" : "false");
-          }};
-}
-
-template <typename T>
-std::string_view NameOf(T value) {
-  return ToString(value);
-}
-
-std::string_view NameOf(ProcessMode mode) {
-  switch (mode) {
-    case ProcessMode::kAuto:
-      return "auto";
-    case ProcessMode::kSpatiotemporal:
-      return "spatiotemporal";
-    case ProcessMode::kTemporal:
-      return "temporal";
-  }
-  return "?";
-}
-
-std::string_view NameOf(OutputOrientation orientation) {
-  return orientation == OutputOrientation::kAligned ? "aligned" : "camera";
-}
-
-std::string_view NameOf(ExrPixelType type) {
-  return type == ExrPixelType::kFloat ? "float" : "half";
-}
-
-std::string_view NameOf(NanPixels nan) {
-  switch (nan) {
-    case NanPixels::kNever:
-      return "never";
-    case NanPixels::kNoData:
-      return "no-data";
-    case NanPixels::kUnmeasured:
-      return "unmeasured";
-  }
-  return "?";
-}
-
-std::string_view NameOf(MergeWeights weights) {
-  return weights == MergeWeights::kHat ? "hat" : "inverse-variance";
-}
-
-std::string_view NameOf(Demosaic demosaic) {
-  return demosaic == Demosaic::kEdgeAware ? "edge-aware" : "bilinear";
-}
-
-template <typename T>
-ConfigKey Choice(std::string name, std::vector<T> values, Member<T> member) {
-  std::string expected;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    if (i > 0) expected += i + 1 == values.size() ? " or " : ", ";
-    expected += TomlText(NameOf(values[i]));
-  }
-  return {std::move(name), std::move(expected),
-          [=](DaemonConfig& config, const TomlValue& toml, const fs::path&) {
-            if (toml.type != TomlValue::Type::kString) return false;
-            for (const T value : values) {
-              if (NameOf(value) != toml.text) continue;
-              member(config) = value;
-              return true;
-            }
-            return false;
-          },
-          [=](const DaemonConfig& config) { return TomlText(NameOf(Get(config, member))); }};
-}
-
-enum class Empty { kAllowed, kRefused };
-
-ConfigKey Path(std::string name, std::string_view expected, Empty empty, std::size_t max_bytes,
-               Member<std::string> member) {
-  return {std::move(name), std::string(expected),
-          [=](DaemonConfig& config, const TomlValue& value, const fs::path& directory) {
-            if (value.type != TomlValue::Type::kString) return false;
-            if (value.text.empty()) {
-              if (empty == Empty::kRefused) return false;
-              member(config).clear();
-              return true;
-            }
-            if (value.text.find('\0') != std::string::npos) return false;
-            const fs::path path(value.text);
-            const std::string resolved =
-                path.is_absolute() ? path.string() : (directory / path).lexically_normal().string();
-            if (resolved.size() > max_bytes) return false;
-            member(config) = resolved;
-            return true;
-          },
-          [=](const DaemonConfig& config) { return TomlText(Get(config, member)); }};
-}
+using namespace config_key_makers;  // NOLINT(google-build-using-namespace)
 
 ConfigKey SessionName() {
   return {
@@ -202,6 +33,43 @@ ConfigKey SessionName() {
         return true;
       },
       [](const DaemonConfig& config) { return TomlText(config.session.name); }};
+}
+
+// A GUID or a serial number.
+ConfigKey CameraId() {
+  return {"camera.iidc.id",
+          "a GUID of 16 hexadecimal digits, a serial number of at most 10 digits, or \"\" for the "
+          "only camera there",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            const std::string& text = value.text;
+            if (value.type != TomlValue::Type::kString) return false;
+            const auto digit = [](char c) { return c >= '0' && c <= '9'; };
+            const auto hexadecimal = [&](char c) {
+              return digit(c) || (c >= 'a' && c <= 'f') || (c >= 'A' && c <= 'F');
+            };
+            const bool guid =
+                text.size() == 16 && std::all_of(text.begin(), text.end(), hexadecimal);
+            const bool serial = text.size() <= 10 && std::all_of(text.begin(), text.end(), digit);
+            if (!guid && !serial) return false;
+            config.camera.iidc.id = text;
+            return true;
+          },
+          [](const DaemonConfig& config) { return TomlText(config.camera.iidc.id); }};
+}
+
+ConfigKey TriggerMode() {
+  return {"camera.iidc.trigger_mode", "0, 14 or 15",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            if (value.type != TomlValue::Type::kInteger ||
+                (value.integer != 0 && value.integer != 14 && value.integer != 15)) {
+              return false;
+            }
+            config.camera.iidc.trigger_mode = static_cast<int>(value.integer);
+            return true;
+          },
+          [](const DaemonConfig& config) {
+            return fmt::format("{}", config.camera.iidc.trigger_mode);
+          }};
 }
 
 ConfigKey Exposures() {
@@ -305,9 +173,6 @@ ConfigKey ChromaticityKey() {
       }};
 }
 
-// A lambda from the config to a member, as the makers want it.
-#define OMNIHDR_MEMBER(member) +[](DaemonConfig& c) -> decltype((c.member)) { return c.member; }
-
 std::vector<ConfigKey> MakeKeys() {
   constexpr std::int64_t kMaxInteger = std::numeric_limits<std::int64_t>::max();
   constexpr std::size_t kPathBytes = 4096;
@@ -322,7 +187,8 @@ std::vector<ConfigKey> MakeKeys() {
              std::vector{OnExistingSession::kResume, OnExistingSession::kRefuse},
              OMNIHDR_MEMBER(session.on_existing)));
 
-  add(Choice("camera.driver", std::vector{CameraDriver::kSim, CameraDriver::kReplay},
+  add(Choice("camera.driver",
+             std::vector{CameraDriver::kSim, CameraDriver::kReplay, CameraDriver::kIidc},
              OMNIHDR_MEMBER(camera.driver)));
   add(Number("camera.frame_timeout_s", "seconds", 0.01, 600,
              OMNIHDR_MEMBER(camera.frame_timeout_s)));
@@ -367,6 +233,30 @@ std::vector<ConfigKey> MakeKeys() {
   add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.replay.session)));
 
+  add(CameraId());
+  add(Path("camera.iidc.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.iidc.rig)));
+  add(Choice("camera.iidc.format", std::vector{IidcFormat::kRaw, IidcFormat::kJpeg},
+             OMNIHDR_MEMBER(camera.iidc.format)));
+  add(Whole("camera.iidc.jpeg_quality", "a whole number", 1, 100,
+            OMNIHDR_MEMBER(camera.iidc.jpeg_quality)));
+  add(Whole("camera.iidc.mode", "a whole number", 0, 7, OMNIHDR_MEMBER(camera.iidc.mode)));
+  add(Choice("camera.iidc.coding", std::vector{IidcCoding::kRaw8, IidcCoding::kMono8},
+             OMNIHDR_MEMBER(camera.iidc.coding)));
+  add(EvenPixels("camera.iidc.left", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.left)));
+  add(EvenPixels("camera.iidc.top", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.top)));
+  add(Whole("camera.iidc.packet_bytes", "bytes", 0, 65535,
+            OMNIHDR_MEMBER(camera.iidc.packet_bytes)));
+  add(TriggerMode());
+  add(Whole("camera.iidc.settle_frames", "a whole number", -1, 8,
+            OMNIHDR_MEMBER(camera.iidc.settle_frames)));
+  add(Whole("camera.iidc.white_balance_blue", "a register value", -1, 4095,
+            OMNIHDR_MEMBER(camera.iidc.white_balance_blue)));
+  add(Whole("camera.iidc.white_balance_red", "a register value", -1, 4095,
+            OMNIHDR_MEMBER(camera.iidc.white_balance_red)));
+  add(Path("camera.iidc.usb_recording", "a file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.iidc.usb_recording)));
+
   add(Choice("bracket.order",
              std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},
              OMNIHDR_MEMBER(bracket.order)));
@@ -381,12 +271,17 @@ std::vector<ConfigKey> MakeKeys() {
 
   add(Choice("trigger.source",
              std::vector{TriggerKind::kSoftware, TriggerKind::kTimer, TriggerKind::kDistance,
-                         TriggerKind::kReplay},
+                         TriggerKind::kGpio, TriggerKind::kReplay},
              OMNIHDR_MEMBER(trigger.source)));
   add(Number("trigger.interval_s", "seconds", 0.001, 86400, OMNIHDR_MEMBER(trigger.interval_s)));
   add(Number("trigger.distance_m", "metres", 0.001, 10000, OMNIHDR_MEMBER(trigger.distance_m)));
+  add(Choice("trigger.odometer",
+             std::vector{OdometerKind::kSim, OdometerKind::kWheel, OdometerKind::kModbus},
+             OMNIHDR_MEMBER(trigger.odometer)));
   add(Whole("trigger.limit", "a whole number", 0, 1'000'000'000, OMNIHDR_MEMBER(trigger.limit)));
   add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
+
+  AddVehicleKeys(keys);
 
   add(Whole("recorder.queue_frames", "frames", 1, 256, OMNIHDR_MEMBER(recorder.queue_frames)));
   add(Whole("recorder.png_compression", "a whole number", 0, 9,
@@ -496,8 +391,6 @@ std::vector<ConfigKey> MakeKeys() {
            OMNIHDR_MEMBER(pipeline.options.mover_masks)));
   return keys;
 }
-
-#undef OMNIHDR_MEMBER
 
 }  // namespace
 

@@ -26,6 +26,8 @@ struct ConfigKey {
 
 // The one list of keys, in the order of config/omnihdr.toml.
 const std::vector<ConfigKey>& ConfigKeys();
+// Adds those of [gpio], [modbus] and [gnss].
+void AddVehicleKeys(std::vector<ConfigKey>& keys);
 // nullptr when there is none of that name.
 const ConfigKey* FindConfigKey(std::string_view name);
 

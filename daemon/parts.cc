@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "daemon/vehicle_parts.h"
 #include "drivers/all_drivers.h"
 #include "drivers/sim/sim_vehicle.h"
 #include "drivers/trigger/software_trigger.h"
@@ -30,12 +31,35 @@ sim::SceneKind Scene(SimScene scene) {
   return sim::SceneKind::kHall;
 }
 
+CameraOptions MakeIidcOptions(const CameraConfig& config) {
+  const IidcCameraConfig& from = config.iidc;
+  iidc::IidcCameraOptions options;
+  options.id = from.id;
+  options.rig_file = from.rig;
+  options.format =
+      from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;
+  options.jpeg_quality = from.jpeg_quality;
+  options.mode = from.mode;
+  options.coding = from.coding == IidcCoding::kMono8 ? iidc::Coding::kMono8 : iidc::Coding::kRaw8;
+  options.left = from.left;
+  options.top = from.top;
+  options.packet_bytes = from.packet_bytes;
+  options.trigger_mode = from.trigger_mode;
+  options.settle_frames = from.settle_frames;
+  options.white_balance_blue = from.white_balance_blue;
+  options.white_balance_red = from.white_balance_red;
+  options.usb_recording = from.usb_recording;
+  options.frame_timeout_s = config.frame_timeout_s;
+  return options;
+}
+
 CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   if (config.camera.driver == CameraDriver::kReplay) {
     ReplayOptions replay;
     replay.session = config.camera.replay.session;
     return replay;
   }
+  if (config.camera.driver == CameraDriver::kIidc) return MakeIidcOptions(config.camera);
   const SimCameraConfig& from = config.camera.sim;
   sim::SimCameraOptions options;
   options.simulation.scene = Scene(from.scene);
@@ -97,7 +121,10 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       parts.triggers = std::make_unique<TimerTrigger>(options);
       break;
     }
+    case TriggerKind::kGpio:
+      break;  // by AddVehicleParts
     case TriggerKind::kDistance: {
+      if (config.trigger.odometer != OdometerKind::kSim) break;  // by AddVehicleParts
       const sim::VehicleOptions vehicle_options = MakeVehicleOptions(config, context.first_trigger);
       OMNIHDR_TRY(vehicle_options.Validate().Context("camera sim"));
       sim::DistanceTriggerOptions options;
@@ -122,6 +149,7 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       break;
     }
   }
+  OMNIHDR_TRY(AddVehicleParts(config, context, parts));
   if (config.pipeline.enabled) {
     ProcessorOptions how;
     how.overload = config.pipeline.overload;

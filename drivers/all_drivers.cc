@@ -11,6 +11,7 @@ const std::vector<CameraDriverEntry>& CameraDrivers() {
   static const std::vector<CameraDriverEntry> drivers{
       {"sim", "a simulated camera in a rendered HDR world"},
       {"replay", "a recorded session as a camera"},
+      {"iidc", "an IIDC camera on USB (Point Grey, FLIR)"},
   };
   return drivers;
 }
@@ -18,6 +19,7 @@ const std::vector<CameraDriverEntry>& CameraDrivers() {
 Result<CameraOptions> DefaultCameraOptions(std::string_view driver) {
   if (driver == "sim") return CameraOptions(sim::SimCameraOptions{});
   if (driver == "replay") return CameraOptions(ReplayOptions{});
+  if (driver == "iidc") return CameraOptions(iidc::IidcCameraOptions{});
   std::string known;
   for (const CameraDriverEntry& each : CameraDrivers()) {
     known += fmt::format("{}{}", known.empty() ? "" : ", ", each.name);
@@ -29,6 +31,10 @@ Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
   if (const auto* sim_options = std::get_if<sim::SimCameraOptions>(&options)) {
     OMNIHDR_TRY(sim_options->Validate().Context("camera sim"));
     return std::unique_ptr<Camera>(std::make_unique<sim::SimCamera>(*sim_options));
+  }
+  if (const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
+    OMNIHDR_TRY(iidc_options->Validate().Context("camera iidc"));
+    return iidc::MakeUsbIidcCamera(*iidc_options);
   }
   const auto& replay_options = std::get<ReplayOptions>(options);
   OMNIHDR_TRY(replay_options.Validate().Context("camera replay"));

@@ -7,13 +7,14 @@
 
 #include "core/base/result.h"
 #include "core/ports/camera.h"
+#include "drivers/iidc/iidc_camera.h"
 #include "drivers/replay/replay.h"
 #include "drivers/sim/sim_camera.h"
 
 namespace omnihdr {
 
 // The options of any camera driver; which alternative it is decides which driver is made.
-using CameraOptions = std::variant<sim::SimCameraOptions, ReplayOptions>;
+using CameraOptions = std::variant<sim::SimCameraOptions, ReplayOptions, iidc::IidcCameraOptions>;
 
 struct CameraDriverEntry {
   std::string_view name;     // as in configuration files

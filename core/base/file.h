@@ -30,6 +30,8 @@ class Fd {
   Fd& operator=(const Fd&) = delete;
   int get() const { return fd_; }
   bool valid() const { return fd_ >= 0; }
+  // Hands the descriptor over to somebody else who closes it.
+  int Release() { return std::exchange(fd_, -1); }
   void Close();
 
  private:

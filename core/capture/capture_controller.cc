@@ -35,13 +35,15 @@ std::string PixelFault(const CameraFrame& frame, const CameraDescription& descri
 CaptureController::CaptureController(BracketPlan plan, CameraDescription description,
                                      const CaptureOptions& options, TriggerId next,
                                      CaptureSink& sink, CommandCamera command,
-                                     const PositionSource* positions, const Clock& clock)
+                                     const PositionSource* positions, const Clock& clock,
+                                     const PlaceSource* place)
     : plan_(std::move(plan)),
       description_(std::move(description)),
       options_(options),
       sink_(sink),
       command_(std::move(command)),
       positions_(positions),
+      place_(place),
       clock_(clock),
       next_(next) {}
 
@@ -71,7 +73,9 @@ void CaptureController::AddLost(std::uint64_t lost, const TriggerEvent& event) {
     ExposureRequest request = NextRequest(unknown_place);
     request.odometer_m.reset();
     ledger_.OpenFailed(request, FrameStatus::kMissedTrigger,
-                       "the trigger source lost this event before it was read");
+                       event.lost_reason.empty()
+                           ? "the trigger source lost this event before it was read"
+                           : event.lost_reason);
   }
 }
 
@@ -172,6 +176,11 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) const {
   record.detail = std::move(outcome.detail);
   record.utc = clock_.NowUtc() - (clock_.Now() - request.trigger_time);
   line.holds_buffer = outcome.reserved_buffer;
+  if (place_ != nullptr) {
+    const HostTime moment = outcome.frame ? outcome.frame->mid_exposure : request.trigger_time;
+    record.gnss = place_->Fix(moment);
+    record.heading_deg = place_->HeadingDeg(moment);
+  }
   if (outcome.frame) {
     CameraFrame& frame = *outcome.frame;
     const ExposureCheck check =

@@ -76,10 +76,11 @@ class CaptureController {
   using CommandCamera = std::function<Status(const ExposureRequest&)>;
 
   // `description` is that of the session: frames of another size or depth are corrupt. `next` is
-  // the first trigger's number. `positions` may be null.
+  // the first trigger's number. `positions` and `place` may be null.
   CaptureController(BracketPlan plan, CameraDescription description, const CaptureOptions& options,
                     TriggerId next, CaptureSink& sink, CommandCamera command,
-                    const PositionSource* positions, const Clock& clock);
+                    const PositionSource* positions, const Clock& clock,
+                    const PlaceSource* place = nullptr);
 
   // Accepts a trigger, whatever becomes of its frame: a busy or absent camera or an empty buffer
   // pool end in a missed-trigger line. kTemporary when not even a line has room.
@@ -116,6 +117,7 @@ class CaptureController {
   CaptureSink& sink_;
   const CommandCamera command_;
   const PositionSource* const positions_;
+  const PlaceSource* const place_;
   const Clock& clock_;
 
   mutable std::mutex mutex_;

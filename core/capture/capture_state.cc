@@ -33,10 +33,12 @@ StateReport EvaluateState(const CaptureConditions& c) {
     return {CaptureState::kWaitingForCamera, c.waiting.empty() ? "opening the camera" : c.waiting};
   }
   if (!c.armed) return {CaptureState::kIdle, c.idle.empty() ? "disarmed" : c.idle};
-  if (!c.frames_lost.empty() || !c.views_stalled.empty()) {
-    const bool both = !c.frames_lost.empty() && !c.views_stalled.empty();
-    return {CaptureState::kDegraded, c.frames_lost + (both ? "; " : "") + c.views_stalled};
+  std::string degraded;
+  for (const std::string* condition : {&c.frames_lost, &c.views_stalled, &c.links}) {
+    if (!degraded.empty() && !condition->empty()) degraded += "; ";
+    degraded += *condition;
   }
+  if (!degraded.empty()) return {CaptureState::kDegraded, degraded};
   return {CaptureState::kArmed, "every trigger takes a picture"};
 }
 

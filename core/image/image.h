@@ -6,10 +6,11 @@
 #include <cstdint>
 #include <cstring>
 #include <memory>
-#include <new>
 #include <span>
 #include <type_traits>
 #include <utility>
+
+#include "core/base/large_memory.h"
 
 namespace omnihdr {
 
@@ -115,10 +116,10 @@ class Image {
   Image(Allocated /*unused*/, int width, int height, int channels)
       : width_(width), height_(height), channels_(channels) {
     assert(width >= 0 && height >= 0 && channels >= 0);
-    data_.reset(static_cast<T*>(::operator new (sizeof(T) * size(), std::align_val_t{64})));
+    data_.reset(static_cast<T*>(AllocateLarge(sizeof(T) * size())));
   }
   struct Free {
-    void operator()(T* p) const { ::operator delete (p, std::align_val_t{64}); }
+    void operator()(T* p) const { FreeLarge(p); }
   };
   std::ptrdiff_t stride() const { return static_cast<std::ptrdiff_t>(width_) * channels_; }
 

@@ -159,6 +159,14 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
     const int chunk = static_cast<int>(std::min<std::size_t>(kChunk, count - from));
     FindTaps(x + from, y + from, chunk, m_->radiance.width(), m_->radiance.height(), is_cylinder_,
              &taps);
+    // Points lie along a curve through many rows: what is waited for is memory.
+    for (std::size_t i = 0; i < static_cast<std::size_t>(chunk); ++i) {
+      const std::ptrdiff_t first = taps.first[i];
+      __builtin_prefetch(around + taps.around[i]);
+      if (has_contrast) __builtin_prefetch(contrast + taps.nearest[i]);
+      __builtin_prefetch(pixels + 4 * first);
+      __builtin_prefetch(pixels + 4 * (first + taps.below[i]));
+    }
     for (std::size_t i = 0; i < static_cast<std::size_t>(chunk); ++i) {
       Eigen::Map<Eigen::Array4f, Eigen::Aligned16> sample(rgba.data() + 4 * i);
       if (taps.inside[i] == 0) {

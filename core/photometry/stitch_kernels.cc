@@ -8,6 +8,8 @@
 #include "core/photometry/mosaic.h"
 #include "core/photometry/stitch_table.h"
 
+// Vectors are kept in arrays here, which those of ARM's SVE, without a size, cannot be: NEON there.
+#define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "core/photometry/stitch_kernels.cc"
 #include <hwy/foreach_target.h>
@@ -82,6 +84,7 @@ HWY_INLINE Weights WeightsOf(VU packed) {
 
 // By the block's places, row by row: the interpolated value, and the largest byte of those taken.
 struct Planes {
+  HWY_ATTR Planes() {}  // one of the compiler's own would not be for the target
   VF value[4];
   VU most[4];
 };

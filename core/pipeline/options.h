@@ -66,7 +66,7 @@ struct PipelineOptions {
   StereoCost cost = StereoCost::kInterval;
   StereoSearch search = StereoSearch::kRanges;
   StereoFusion fusion = StereoFusion::kVotes;
-  StereoFilter filter = StereoFilter::kNone;  // of the fused map, before it is filled
+  StereoFilter filter = StereoFilter::kWavelet;  // of the fused map, before it is filled
   StereoFill fill = StereoFill::kRims;
   bool sky = false;  // whether superpixels the colour of the sky are put at infinity
   // [pose]

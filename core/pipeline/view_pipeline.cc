@@ -219,17 +219,23 @@ std::vector<LabelRange> ViewPipeline::SearchRanges(std::size_t index,
                                                    const SweepOptions& sweep) {
   const int width = options.stereo_width;
   std::shared_ptr<DisparityMap> guide = slots_[index].ahead;
-  if (guide == nullptr || guide->disparity.width() != width) {
-    const ProfileScope profile("coarse match");
-    guide = std::make_shared<DisparityMap>(
-        MatchCoarse(options_.cost, CoarseViewOf(index, width),
-                    SweepNeighbours(index, neighbours, width, true), sweep));
-  }
+  if (guide == nullptr) guide = CoarseMap(index, neighbours, options, sweep);
   return RangesAround(*guide, width, width / 2, sweep.labels, sweep.max_disparity, RangeOptions{});
 }
 
+std::shared_ptr<DisparityMap> ViewPipeline::CoarseMap(std::size_t index,
+                                                      const std::vector<std::size_t>& neighbours,
+                                                      const PipelineOptions& options,
+                                                      const SweepOptions& sweep) {
+  const ProfileScope profile("coarse match");
+  const int width = options.stereo_width;
+  return std::make_shared<DisparityMap>(MatchCoarse(options_.cost, CoarseViewOf(index, width),
+                                                    SweepNeighbours(index, neighbours, width, true),
+                                                    sweep));
+}
+
 std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index,
-                                                      const PipelineOptions& options) {
+                                                      const PipelineOptions& options, bool ahead) {
   std::vector<std::size_t> indices = MatchPartners(index, options_.neighbours);
   if (indices.empty()) return nullptr;
   // The same at every quality level, or later views would differ.
@@ -244,6 +250,7 @@ std::shared_ptr<DisparityMap> ViewPipeline::MatchSlot(std::size_t index,
   sweep.labels = options.labels;
   sweep.max_disparity = SearchLimit(index, indices);
   if (options_.search == StereoSearch::kRanges) {
+    if (ahead) return CoarseMap(index, indices, options, sweep);
     sweep.ranges = SearchRanges(index, indices, options, sweep);
   }
   const StereoView& reference = StereoViewOf(index, options.stereo_width);
@@ -347,7 +354,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
   // What guides the search must not be of another level: without it a coarser match does.
   const int guide_level = slot.ahead_level;
   if (guide_level != level) slot.ahead.reset();
-  slot.raw = MatchSlot(index, options);
+  slot.raw = MatchSlot(index, options, false);
   slot.ahead.reset();
   slot.raw_level = level;
   if (options_.search == StereoSearch::kRanges) {
@@ -364,7 +371,7 @@ FinishedView ViewPipeline::FinishSlot(std::size_t index, const WantView& want, i
     if ((view.made || options_.search == StereoSearch::kRanges) &&
         std::find(next.begin(), next.end(), index + 1) != next.end()) {
       Slot& following = slots_[index + 1];
-      following.ahead = MatchSlot(index + 1, options);
+      following.ahead = MatchSlot(index + 1, options, true);
       following.ahead_level = level;
     }
   }

@@ -118,9 +118,16 @@ class ViewPipeline {
   // Those of Neighbours that a slot can be matched with: with a baseline worth it.
   std::vector<std::size_t> MatchPartners(std::size_t index, int reach) const;
   // Null when the slot has no neighbour with a baseline. `options`: those of the quality level.
-  std::shared_ptr<DisparityMap> MatchSlot(std::size_t index, const PipelineOptions& options);
-  // The labels in question at the slot: around what it was matched to before, or else around what
-  // a match at half the size with the neighbours given finds.
+  // `ahead`: before its own later neighbours are there; with search `ranges` at half the size.
+  std::shared_ptr<DisparityMap> MatchSlot(std::size_t index, const PipelineOptions& options,
+                                          bool ahead);
+  // What a match at half the size with the neighbours given finds.
+  std::shared_ptr<DisparityMap> CoarseMap(std::size_t index,
+                                          const std::vector<std::size_t>& neighbours,
+                                          const PipelineOptions& options,
+                                          const SweepOptions& sweep);
+  // The labels in question at the slot: around what was found at half its size, before its last
+  // neighbour was there if it was matched then.
   std::vector<LabelRange> SearchRanges(std::size_t index,
                                        const std::vector<std::size_t>& neighbours,
                                        const PipelineOptions& options, const SweepOptions& sweep);

@@ -1,11 +1,14 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
+#include "core/session/session.h"
 
 namespace omnihdr {
 
@@ -14,6 +17,7 @@ struct TriggerEvent {
   HostTime time;                     // when, on the machine's monotonic clock
   std::optional<double> odometer_m;  // where, when the source knows
   std::uint64_t lost_before = 0;     // events of this source known to be lost since the last one
+  std::string lost_reason;           // how they were lost; empty = not known
 };
 
 // Where triggers come from: GPIO edge, wheel distance, timer, software. Poll from one thread; the
@@ -39,6 +43,29 @@ class PositionSource {
  public:
   virtual ~PositionSource() = default;
   virtual std::optional<double> OdometerMetres(HostTime at) const = 0;
+};
+
+// A PositionSource that tells of its news, so that marks on the way can trigger. Any thread.
+class Odometer : public PositionSource {
+ public:
+  // When a reading was reached; for a reading ahead, when it will be at the present speed. Nothing
+  // when that is not known: no reading yet, standing, or too far ahead to tell.
+  virtual std::optional<HostTime> TimeAt(double odometer_m) const = 0;
+  // Called after every new reading, from the odometer's own thread; must not block, nor call the
+  // odometer. Empty = nobody listens; on return the old listener is not running any more.
+  virtual void Listen(std::function<void()> listener) = 0;
+  // Readings known to be missing or wrong so far, such as pulses that were lost.
+  virtual std::uint64_t lost() const { return 0; }
+};
+
+// Where the vehicle is and which way it looks, told by others than its odometer. Any thread.
+class PlaceSource {
+ public:
+  virtual ~PlaceSource() = default;
+  // The newest fix that was known at that time; nothing when there was none or it was too old.
+  virtual std::optional<GnssFix> Fix(HostTime) const { return std::nullopt; }
+  // Clockwise from north, degrees in [0, 360).
+  virtual std::optional<double> HeadingDeg(HostTime) const { return std::nullopt; }
 };
 
 }  // namespace omnihdr

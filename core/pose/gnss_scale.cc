@@ -111,8 +111,11 @@ void BuildNormal(const Pairs& pairs, const Similarity& s, Normal* normal, Step* 
 
 std::optional<GnssClue> ClueFromFix(const std::optional<GnssFix>& fix) {
   if (!fix || fix->fix <= 0) return std::nullopt;
-  return GnssClue{{fix->lat_deg, fix->lon_deg, fix->alt_m},
-                  fix->sigma_m.value_or(kUnstatedGnssSigma)};
+  // What share of places lies within a receiver's error is rarely said: taken for the root mean
+  // square of the horizontal distance.
+  const double sigma = fix->error_m && *fix->error_m > 0.0 ? *fix->error_m / std::numbers::sqrt2
+                                                           : kUnstatedGnssSigma;
+  return GnssClue{{fix->lat_deg, fix->lon_deg, fix->alt_m}, sigma};
 }
 
 std::optional<GnssScale> EstimateGnssScale(std::span<const GnssSample> samples) {

@@ -40,14 +40,23 @@ Result<GnssFix> ReadGnss(const ObjectReader& line) {
   OMNIHDR_ASSIGN(fix.lat_deg, gnss.Number("lat", -90.0, 90.0, "degrees in [-90, 90]"));
   OMNIHDR_ASSIGN(fix.lon_deg, gnss.Number("lon", -360.0, 360.0, "degrees in [-360, 360]"));
   OMNIHDR_ASSIGN(fix.alt_m, gnss.NumberOr("alt_m", 0.0, -1e7, 1e7, "metres in [-1e7, 1e7]"));
-  if (gnss.Has("sigma_m")) {
-    OMNIHDR_ASSIGN(fix.sigma_m, gnss.Number("sigma_m", 1e-4, 1e6, "metres in [0.0001, 1e6]"));
-  }
   OMNIHDR_ASSIGN(fix.time, gnss.StringOr("time", ""));
   // Who writes a position and says nothing of its quality means it.
   OMNIHDR_ASSIGN(const std::int64_t kind,
                  gnss.IntegerOr("fix", 1, 0, 255, "a whole number in [0, 255]"));
   fix.fix = static_cast<int>(kind);
+  OMNIHDR_ASSIGN(const std::int64_t dimensions,
+                 gnss.IntegerOr("dimensions", 0, 0, 3, "a whole number in [0, 3]"));
+  fix.dimensions = static_cast<int>(dimensions);
+  const auto optional = [&gnss](std::string_view key, std::optional<double>& value) -> Status {
+    if (!gnss.Has(key)) return {};
+    OMNIHDR_ASSIGN(value, gnss.Number(key, 0.0, 1e9, "a number in [0, 1e9]"));
+    return {};
+  };
+  OMNIHDR_TRY(optional("error_m", fix.error_m));
+  OMNIHDR_TRY(optional("time_error_s", fix.time_error_s));
+  OMNIHDR_TRY(optional("age_s", fix.age_s));
+  OMNIHDR_ASSIGN(fix.time_source, gnss.StringOr("time_source", ""));
   return fix;
 }
 

@@ -102,10 +102,16 @@ struct GnssFix {
   double lat_deg = 0.0;
   double lon_deg = 0.0;
   double alt_m = 0.0;
-  std::string time;
+  std::string time;  // UTC of the fix as the receiver says it, ISO 8601
+  // As in NMEA GGA: 0 none, 1 GNSS, 2 differential, 3 PPS, 4 RTK fixed, 5 RTK float, 6 dead
+  // reckoning, 8 simulated.
   int fix = 0;
-  // One standard deviation of each horizontal axis, as the receiver states it; additive key.
-  std::optional<double> sigma_m = std::nullopt;
+  // Optional keys: how good it is.
+  int dimensions = 0;                            // 2 = alt_m is not known, 3 = it is; 0 = not said
+  std::optional<double> error_m = std::nullopt;  // horizontal, as the receiver estimates it
+  std::optional<double> time_error_s = std::nullopt;  // of `time`
+  std::string time_source = {};                       // where `time` comes from: "gnss", "gnss+pps"
+  std::optional<double> age_s = std::nullopt;         // from its arrival to the moment of the frame
 };
 
 // One line of frames.jsonl.

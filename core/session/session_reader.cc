@@ -246,9 +246,13 @@ std::string FormatFrameRecord(const FrameRecord& record) {
     ObjectWriter gnss;
     gnss.Add("lat", record.gnss->lat_deg).Add("lon", record.gnss->lon_deg);
     gnss.Add("alt_m", record.gnss->alt_m);
-    if (record.gnss->sigma_m) gnss.Add("sigma_m", *record.gnss->sigma_m);
     gnss.Add("time", record.gnss->time);
     gnss.Add("fix", record.gnss->fix);
+    if (record.gnss->dimensions > 0) gnss.Add("dimensions", record.gnss->dimensions);
+    if (record.gnss->error_m) gnss.Add("error_m", *record.gnss->error_m);
+    if (record.gnss->time_error_s) gnss.Add("time_error_s", *record.gnss->time_error_s);
+    if (record.gnss->age_s) gnss.Add("age_s", *record.gnss->age_s);
+    if (!record.gnss->time_source.empty()) gnss.Add("time_source", record.gnss->time_source);
     json.AddObject("gnss", std::move(gnss));
   }
   if (record.heading_deg) json.Add("heading_deg", *record.heading_deg);

@@ -10,7 +10,11 @@
 namespace omnihdr {
 
 Result<std::vector<SessionFile>> ReadRigFiles(const std::filesystem::path& directory) {
-  const std::filesystem::path rig_file = directory / "rig.toml";
+  return ReadRigFilesOf(directory / "rig.toml");
+}
+
+Result<std::vector<SessionFile>> ReadRigFilesOf(const std::filesystem::path& rig_file) {
+  const std::filesystem::path directory = rig_file.parent_path();
   OMNIHDR_ASSIGN(std::string text, ReadTextFile(rig_file, kMaxRigBytes));
   OMNIHDR_ASSIGN(const Rig rig, ParseRig(text, rig_file.string()));
   std::vector<SessionFile> files;

@@ -12,5 +12,7 @@ namespace omnihdr {
 // it names, to be stored with another session. Errors: rig.toml missing or wrong, a mask that is
 // missing or lies outside the directory.
 Result<std::vector<SessionFile>> ReadRigFiles(const std::filesystem::path& directory);
+// The same of a rig file of any name; it becomes rig.toml.
+Result<std::vector<SessionFile>> ReadRigFilesOf(const std::filesystem::path& rig_file);
 
 }  // namespace omnihdr

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/base/large_memory.h"
 #include "core/stereo/lattice.h"
 
 namespace omnihdr {
@@ -28,7 +29,7 @@ struct CostVolume {
   double step = 0.0;
   std::vector<LabelRange> ranges;    // of each tile, TilesPerRow a row
   std::vector<std::size_t> offsets;  // of each tile's first cost
-  std::vector<std::uint8_t> cost;
+  std::vector<std::uint8_t, LargeAllocator<std::uint8_t>> cost;
 
   // `step` such that the last label is `max_disparity`. `ranges`: empty = all labels everywhere.
   static CostVolume Allocate(int width, int height, int labels, double max_disparity,

@@ -7,6 +7,7 @@
 #include <memory>
 #include <utility>
 
+#include "core/base/large_memory.h"
 #include "core/base/parallel_for.h"
 #include "core/base/simd.h"
 
@@ -228,7 +229,9 @@ DisparityMap OptimiseSemiGlobal(const CostVolume& volume, const Image<std::uint8
   const int height = volume.height;
   const int labels = volume.labels;
   // The first path along each row sets what the others add to.
-  const auto sums = std::make_unique_for_overwrite<std::uint16_t[]>(volume.cost.size());
+  const std::unique_ptr<std::uint16_t, decltype(&FreeLarge)> sums(
+      static_cast<std::uint16_t*>(AllocateLarge(volume.cost.size() * sizeof(std::uint16_t))),
+      &FreeLarge);
   const Field field = {volume.cost.data(),
                        volume.ranges.data(),
                        volume.offsets.data(),

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/base/large_memory.h"
 #include "core/image/image.h"
 #include "core/photometry/measurement.h"
 
@@ -36,7 +37,8 @@ struct LogScale {
 struct StereoView {
   int width = 0;
   int height = 0;
-  std::vector<std::uint64_t> texels;  // (height + 1) rows of (width + 1)
+  std::vector<std::uint64_t, LargeAllocator<std::uint64_t>>
+      texels;  // (height + 1) rows of (width + 1)
   const std::uint64_t* row(int i) const {
     return texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
   }

@@ -24,6 +24,10 @@ std::string Utf8(const std::string& text) {
       .get<std::string>();
 }
 
+Json OrNull(const std::optional<double>& value) {
+  return value && std::isfinite(*value) ? Json(*value) : Json(nullptr);
+}
+
 class Metrics {
  public:
   void Family(std::string_view name, std::string_view type, std::string_view help) {
@@ -96,8 +100,31 @@ Json StatusToJson(const StatusReport& s) {
         {"error", Utf8(s.views_error)}}},
       {"odometer_m",
        s.odometer_m && std::isfinite(*s.odometer_m) ? Json(*s.odometer_m) : Json(nullptr)},
+      {"heading_deg", OrNull(s.heading_deg)},
+      {"minutes_left", OrNull(s.minutes_left)},
       {"buffers", {{"free", s.buffers_free}, {"of", s.buffers}}},
   };
+  json["gnss"] = nullptr;
+  if (s.gnss) {
+    json["gnss"] = {{"lat", s.gnss->lat_deg},
+                    {"lon", s.gnss->lon_deg},
+                    {"alt_m", s.gnss->alt_m},
+                    {"fix", s.gnss->fix},
+                    {"dimensions", s.gnss->dimensions},
+                    {"time", Utf8(s.gnss->time)},
+                    {"error_m", OrNull(s.gnss->error_m)},
+                    {"age_s", OrNull(s.gnss->age_s)}};
+  }
+  json["links"] = Json::array();
+  for (const auto& [name, link] : s.links) {
+    json["links"].push_back({{"name", name},
+                             {"up", link.up},
+                             {"problem", Utf8(link.problem)},
+                             {"opened", link.opened},
+                             {"messages", link.messages},
+                             {"errors", link.errors},
+                             {"lost", link.lost}});
+  }
   if (s.bracket_steps > 0) {
     json["bracket"] = {{"order", s.bracket_order},
                        {"step", s.bracket_step},
@@ -152,6 +179,33 @@ std::string StatusToMetrics(const StatusReport& s) {
           s.exposure.time.seconds());
   }
   if (s.odometer_m) m.One("omnihdr_odometer_metres", "gauge", "Way travelled.", *s.odometer_m);
+  if (s.minutes_left) {
+    m.One("omnihdr_storage_minutes_left", "gauge",
+          "Minutes until the storage is full at the present rate.", *s.minutes_left);
+  }
+  if (s.gnss) {
+    m.One("omnihdr_gnss_fix", "gauge", "Quality of the GNSS fix, as NMEA GGA counts.",
+          static_cast<double>(s.gnss->fix));
+  }
+  const auto links = [&](std::string_view name, std::string_view type, std::string_view help,
+                         auto value) {
+    m.Family(name, type, help);
+    for (const auto& [link, report] : s.links) {
+      m.Sample(name, fmt::format("link=\"{}\"", link), value(report));
+    }
+  };
+  if (!s.links.empty()) {
+    links("omnihdr_link_up", "gauge", "1 while a connection to the vehicle works.",
+          [](const LinkReport& r) { return r.up ? 1.0 : 0.0; });
+    links("omnihdr_link_opened_total", "counter", "How often the connection was made.",
+          [](const LinkReport& r) { return AsDouble(r.opened); });
+    links("omnihdr_link_messages_total", "counter", "Messages and events understood.",
+          [](const LinkReport& r) { return AsDouble(r.messages); });
+    links("omnihdr_link_errors_total", "counter", "Time-outs, refusals, broken messages.",
+          [](const LinkReport& r) { return AsDouble(r.errors); });
+    links("omnihdr_link_lost_total", "counter", "Events and readings known to be missing.",
+          [](const LinkReport& r) { return AsDouble(r.lost); });
+  }
   return m.Take();
 }
 
@@ -207,6 +261,18 @@ std::string StatusForPeople(const Json& s) {
   }
   if (const Json& odometer = s.at("odometer_m"); odometer.is_number()) {
     line("odometer", fmt::format("{:.2f} m", odometer.get<double>()));
+  }
+  if (const Json& gnss = s.value("gnss", Json()); gnss.is_object()) {
+    line("gnss", fmt::format("{:.6f}, {:.6f}, quality {}", gnss.value("lat", 0.0),
+                             gnss.value("lon", 0.0), gnss.value("fix", 0)));
+  }
+  if (const Json minutes = s.value("minutes_left", Json()); minutes.is_number()) {
+    line("storage", fmt::format("{:.0f} minutes left", minutes.get<double>()));
+  }
+  for (const Json& link : s.value("links", Json::array())) {
+    const std::string problem = link.value("problem", "");
+    line("link", fmt::format("{}{}", link.value("name", ""),
+                             problem.empty() ? std::string(" works") : ": " + problem));
   }
   line("daemon", fmt::format("version {}, up {:.0f} s", s.at("version").get<std::string>(),
                              s.at("uptime_s").get<double>()));

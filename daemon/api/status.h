@@ -4,7 +4,10 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
+#include "core/capture/appliance.h"
 #include "core/capture/capture_controller.h"
 #include "core/capture/capture_state.h"
 #include "core/capture/trigger_ledger.h"
@@ -50,6 +53,10 @@ struct StatusReport {
   Exposure exposure;
 
   std::optional<double> odometer_m;
+  std::optional<double> heading_deg;
+  std::optional<GnssFix> gnss;
+  std::optional<double> minutes_left;                     // until the storage is full
+  std::vector<std::pair<std::string, LinkReport>> links;  // connections to the vehicle, by name
   std::uint64_t buffers_free = 0;
   std::uint64_t buffers = 0;
 };

@@ -34,6 +34,7 @@ void AddCompareCommand(CLI::App& app, CommandRun& run);
 void AddConfigCommand(CLI::App& app, CommandRun& run);
 void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
 void AddStitchCommand(CLI::App& app, CommandRun& run);
+void AddImportCommand(CLI::App& app, CommandRun& run);
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

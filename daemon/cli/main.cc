@@ -31,6 +31,7 @@ constexpr std::array kCommands = {
     AddConfigCommand,
     AddRigCommand,
     AddStitchCommand,
+    AddImportCommand,
 };
 // clang-format on
 

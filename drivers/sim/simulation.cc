@@ -7,6 +7,7 @@
 #include <ctime>
 #include <memory>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <optional>
 #include <system_error>
 #include <utility>
@@ -69,7 +70,7 @@ GnssFix FixAt(const Eigen::Vector3d& place, double sigma_m, std::uint64_t seed) 
   fix.lat_deg = at.lat_deg;
   fix.lon_deg = at.lon_deg;
   fix.alt_m = at.alt_m;
-  fix.sigma_m = sigma_m;
+  fix.error_m = std::numbers::sqrt2 * sigma_m;  // horizontal, root mean square
   fix.fix = 1;
   return fix;
 }

@@ -152,7 +152,14 @@ cv::Mat Warped(const cv::Mat& here, const Pose& here_pose, const cv::Mat& other,
   return warped;
 }
 
-void OpencvPosition(benchmark::State& state) {
+// What a chain of parts keeps from one position for the next.
+enum class Parts {
+  kPerTarget,    // nothing: each position with its two neighbours by itself, as scripts do it
+  kIncremental,  // pictures and features: one picture, one SIFT, one match a position
+};
+
+void OpencvChain(benchmark::State& state, Parts parts) {
+  constexpr int kFeatures = 6000;
   const BenchDrive& drive = LargeDrive();
   const auto matcher = opencv_parts::Matcher(kDisparities, cv::StereoSGBM::MODE_SGBM_3WAY);
   const cv::Ptr<cv::MergeDebevec> merge = cv::createMergeDebevec();
@@ -166,17 +173,27 @@ void OpencvPosition(benchmark::State& state) {
     cv::cvtColor(cv::imdecode(bytes, cv::IMREAD_COLOR), image, cv::COLOR_BGR2RGB);
     return image;
   };
-  std::vector<cv::Mat> images = {decoded(0), decoded(1), decoded(2)};
-  opencv_parts::Sift before = opencv_parts::FindSift(images.back(), 6000);
-  for (auto _ : state) {
-    images.erase(images.begin());
-    images.push_back(decoded(position));
-    opencv_parts::Sift now = opencv_parts::FindSift(images.back(), 6000);
+  const auto find = [](const cv::Mat& image) { return opencv_parts::FindSift(image, kFeatures); };
+  const auto pose = [](const opencv_parts::Sift& from, const opencv_parts::Sift& to) {
     cv::Matx33d rotation;
     cv::Vec3d direction;
-    opencv_parts::RelativePoseOf(before, now, opencv_parts::MatchSift(before, now), kWidth,
-                                 &rotation, &direction);
-    before = std::move(now);
+    opencv_parts::RelativePoseOf(from, to, opencv_parts::MatchSift(from, to), kWidth, &rotation,
+                                 &direction);
+  };
+  std::vector<cv::Mat> images = {decoded(0), decoded(1), decoded(2)};
+  opencv_parts::Sift before = find(images.back());
+  for (auto _ : state) {
+    if (parts == Parts::kIncremental) {
+      images.erase(images.begin());
+      images.push_back(decoded(position));
+      opencv_parts::Sift now = find(images.back());
+      pose(before, now);
+      before = std::move(now);
+    } else {
+      for (std::size_t k = 0; k < 3; ++k) images[k] = decoded(position - 2 + k);
+      const opencv_parts::Sift middle = find(images[1]);
+      for (const std::size_t other : {0U, 2U}) pose(middle, find(images[other]));
+    }
     // What follows goes on with the true poses: its time does not depend on them, its result would.
     std::vector<cv::Mat> exposures = {images[1]};
     std::vector<float> times = {
@@ -200,7 +217,10 @@ void OpencvPosition(benchmark::State& state) {
     if (drive.Place(position) == drive.Place(position - 2)) ++position;
   }
 }
+void OpencvPosition(benchmark::State& state) { OpencvChain(state, Parts::kPerTarget); }
+void OpencvIncremental(benchmark::State& state) { OpencvChain(state, Parts::kIncremental); }
 OMNIHDR_BENCHMARK(OpencvPosition, "Position/opencv")->Iterations(1);
+OMNIHDR_BENCHMARK(OpencvIncremental, "Position/opencv_incremental")->Iterations(1);
 
 }  // namespace
 }  // namespace omnihdr

@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <filesystem>
+#include <fstream>
 #include <ostream>
 #include <thread>
 
@@ -13,6 +14,9 @@
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
 #include "tests/compliance/camera_suite.h"
+#include "tests/emulators/iidc_link.h"
+#include "tests/emulators/umockdev_usb.h"
+#include "tests/support/temporary_directory.h"
 
 namespace omnihdr::compliance::camera_compliance_test {
 namespace {
@@ -99,7 +103,54 @@ Rig MakeReplayRig(Layout layout) {
   return rig;
 }
 
-class CameraCompliance : public testing::TestWithParam<RigFactory> {
+// An emulated IIDC camera: in this process, or as a USB device that the real libusb talks to.
+enum class Carrier { kInProcess, kUsb };
+
+struct EmulatedCamera {
+  EmulatedCamera() : device(std::make_shared<emulators::IidcDevice>(MakeOptions(), clock)) {
+    const emulators::IidcDeviceOptions& options = device->options();
+    std::ofstream(rig()) << emulators::EmulatedRig(6, options.max_width, options.rows_per_sensor,
+                                                   options.bayer);
+  }
+  static emulators::IidcDeviceOptions MakeOptions() {
+    emulators::IidcDeviceOptions options;
+    options.readout_s = 0.004;
+    return options;
+  }
+  std::filesystem::path rig() const { return folder.path() / "head.toml"; }
+
+  const SystemClock clock;
+  const testing::TemporaryDirectory folder;
+  std::shared_ptr<emulators::IidcDevice> device;
+  std::unique_ptr<emulators::UmockdevUsb> usb;
+};
+
+Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureFormat::kRaw) {
+  auto emulated = std::make_shared<EmulatedCamera>();
+  iidc::IidcCameraOptions options;
+  options.rig_file = emulated->rig();
+  options.format = format;
+  if (format == iidc::PictureFormat::kJpeg) options.mode = 7;
+  Rig rig;
+  rig.surroundings = emulated;
+  if (carrier == Carrier::kUsb) {
+    emulated->usb = std::make_unique<emulators::UmockdevUsb>(emulated->device);
+    rig.camera = MakeCamera(options).value();
+    rig.unplug = [emulated] { emulated->usb->Unplug(); };
+    rig.plug_in = [emulated] { emulated->usb->PlugIn(); };
+  } else {
+    rig.camera = std::make_unique<iidc::IidcCamera>(
+        options, emulators::MakeEmulatedFinder({emulated->device}));
+    rig.unplug = [emulated] { emulated->device->Unplug(); };
+    rig.plug_in = [emulated] { emulated->device->PlugIn(); };
+  }
+  for (const double t : {0.0001, 0.001, 0.004, 0.016, 0.05}) {
+    rig.ladder.push_back(ExposureTime::Seconds(t));
+  }
+  return rig;
+}
+
+class CameraCompliance : public ::testing::TestWithParam<RigFactory> {
  protected:
   void SetUp() override {
     rig_ = GetParam().make();
@@ -354,21 +405,25 @@ TEST_P(CameraCompliance, AnUnpluggedCameraSaysSoAndWorksAgainAfterReopening) {
 }  // namespace
 
 std::vector<RigFactory> AllRigs() {
-  return {{"sim", [] { return MakeSimRig(Layout::kPanorama); }},
-          {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
-          {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
-          {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }}};
+  return {
+      {"sim", [] { return MakeSimRig(Layout::kPanorama); }},
+      {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
+      {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
+      {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
+      {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
+      {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
+      {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }}};
 }
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {
   std::vector<std::string> covered;
   for (const RigFactory& rig : AllRigs()) covered.push_back(rig.name);
   for (const CameraDriverEntry& driver : CameraDrivers()) {
-    EXPECT_THAT(covered, testing::Contains(driver.name));
+    EXPECT_THAT(covered, ::testing::Contains(driver.name));
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(AllCameras, CameraCompliance, testing::ValuesIn(AllRigs()),
+INSTANTIATE_TEST_SUITE_P(AllCameras, CameraCompliance, ::testing::ValuesIn(AllRigs()),
                          [](const auto& parameter) { return parameter.param.name; });
 
 }  // namespace omnihdr::compliance::camera_compliance_test

@@ -13,6 +13,7 @@ namespace omnihdr::compliance {
 // A camera under test and what the suite may expect of it. One of these per camera makes it take
 // the whole suite (camera_compliance_test.cc).
 struct Rig {
+  std::shared_ptr<void> surroundings;  // what the camera needs as long as it lives
   std::unique_ptr<Camera> camera;
   // Exposures to ask for, within the camera's limits, shortest first.
   std::vector<ExposureTime> ladder;

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <string>
 
 #include "core/base/file.h"
@@ -98,7 +99,8 @@ TEST_F(SimulatedSession, FixesAreWhereTheCameraIsToWithinTheirStatedNoise) {
   double squares = 0.0;
   for (std::size_t i = 1; i < 12; ++i) {
     ASSERT_TRUE(session->journal.frames[i].gnss);
-    EXPECT_EQ(session->journal.frames[i].gnss->sigma_m, 0.5);
+    EXPECT_DOUBLE_EQ(session->journal.frames[i].gnss->error_m.value_or(0.0),
+                     0.5 * std::numbers::sqrt2);
     const Eigen::Vector3d driven =
         world->PoseAt(2.0 * static_cast<double>(i)).translation - world->PoseAt(0.0).translation;
     const Eigen::Vector3d off = EastNorthUp(place(0), place(i)) - driven;

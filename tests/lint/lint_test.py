@@ -78,6 +78,14 @@ class Lint(unittest.TestCase):
         self.assert_found("layers", {"drivers/replay/x.cc": '#include "drivers/sim/camera.h"\n'},
                           "drivers/replay/x.cc:1")
 
+    def test_the_iidc_driver_knows_its_transport_but_not_the_other_way_round(self):
+        planted = {"drivers/usb/usb.h": "#pragma once\n",
+                   "drivers/iidc/camera.h": '#pragma once\n#include "drivers/usb/usb.h"\n'}
+        code, output = self.lint("layers", planted)
+        self.assertEqual(code, 0, output)
+        self.assert_found("layers", {**planted, "drivers/usb/x.cc": '#include "drivers/iidc/camera.h"\n'},
+                          "drivers/usb/x.cc:1")
+
     def test_a_new_core_folder_must_be_given_its_place(self):
         self.assert_found("layers", {"core/magic/x.cc": '#include "core/base/result.h"\n'}, "core/magic")
 

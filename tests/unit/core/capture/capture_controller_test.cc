@@ -105,6 +105,59 @@ TEST(CaptureController, AReplayedFrameKeepsTheTimeAndPlaceItWasRecordedWith) {
   EXPECT_FALSE(bench.record(1).utc.has_value());
 }
 
+class MovingPlace final : public PlaceSource {
+ public:
+  std::optional<GnssFix> Fix(HostTime at) const override {
+    if (at < HostTime::FromNanoseconds(1'000'000'000)) return std::nullopt;
+    GnssFix fix;
+    fix.lat_deg = static_cast<double>(at.ns()) * 1e-9;
+    return fix;
+  }
+  std::optional<double> HeadingDeg(HostTime) const override { return 271.5; }
+};
+
+TEST(CaptureController, ALineTellsPlaceAndHeadingOfTheMiddleOfTheExposureOrOfTheLostTrigger) {
+  SimulatedClock clock;
+  KeepingSink sink;
+  const MovingPlace place;
+  std::vector<ExposureRequest> commanded;
+  CaptureController controller(
+      Sawtooth(), SmallCamera(), CaptureOptions{}, TriggerId{0}, sink,
+      [&](const ExposureRequest& request) -> Status {
+        if (!commanded.empty()) return Fail(ErrorKind::kTemporary, "busy");
+        commanded.push_back(request);
+        return {};
+      },
+      nullptr, clock, &place);
+  TriggerEvent event;
+  event.time = clock.Now();
+  ASSERT_TRUE(controller.OnTrigger(event));
+  clock.Advance(milliseconds(20));
+  event.time = clock.Now();
+  ASSERT_TRUE(controller.OnTrigger(event));
+  controller.OnFrame(FrameFor(commanded.at(0)));
+  ASSERT_EQ(sink.lines.size(), 2U);
+  EXPECT_NEAR(sink.lines[0].record.gnss->lat_deg, 1.005, 1e-9);
+  EXPECT_EQ(sink.lines[0].record.heading_deg, 271.5);
+  EXPECT_EQ(sink.lines[1].record.status, FrameStatus::kMissedTrigger);
+  EXPECT_NEAR(sink.lines[1].record.gnss->lat_deg, 1.02, 1e-9);
+}
+
+TEST(CaptureController, TriggersThatTheSourceLostAreLinesWithTheSourcesReason) {
+  Bench bench;
+  TriggerEvent event;
+  event.time = bench.clock.Now();
+  event.lost_before = 2;
+  event.lost_reason = "the kernel's buffer overflowed";
+  ASSERT_TRUE(bench.controller.OnTrigger(event));
+  ASSERT_EQ(bench.sink.lines.size(), 2U);
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(bench.record(i).status, FrameStatus::kMissedTrigger);
+    EXPECT_EQ(bench.record(i).detail, "the kernel's buffer overflowed");
+    EXPECT_FALSE(bench.record(i).odometer_m);
+  }
+}
+
 TEST(CaptureController, ABusyCameraIsAMissedTriggerAndTheBracketGoesOn) {
   Bench bench;
   bench.Trigger();

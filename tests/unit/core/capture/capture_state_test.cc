@@ -35,6 +35,14 @@ TEST(CaptureState, TheGravestConditionNamesTheState) {
   EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kStopping, "asked to"}));
 }
 
+TEST(CaptureState, AConnectionThatIsMissingDegradesAndEveryReasonIsTold) {
+  CaptureConditions c = Ready();
+  c.links = "modbus vehicle: no answer";
+  EXPECT_EQ(EvaluateState(c), (StateReport{CaptureState::kDegraded, "modbus vehicle: no answer"}));
+  c.frames_lost = "2 lost";
+  EXPECT_EQ(EvaluateState(c).reason, "2 lost; modbus vehicle: no answer");
+}
+
 TEST(CaptureState, EveryStateHasAReason) {
   for (const bool started : {false, true}) {
     for (const bool camera : {false, true}) {

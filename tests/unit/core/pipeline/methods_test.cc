@@ -64,7 +64,7 @@ TEST_F(Methods, EveryOneGivesWholeViewsOfItsOwn) {
   all[2].cost = StereoCost::kMutualInformation;
   all[3].fusion = StereoFusion::kCrossCheck;
   all[4].fusion = StereoFusion::kStability;
-  all[5].filter = StereoFilter::kWavelet;
+  all[5].filter = StereoFilter::kNone;
   all[6].fill = StereoFill::kSuperpixels;
   all[7].merge_weights = MergeWeights::kHat;
   all[8].consistency = false;
@@ -121,9 +121,8 @@ TEST(DescribeMethods, NamesWhatIsNotTheDefault) {
   EXPECT_EQ(DescribeMethods(PipelineOptions{}), "");
   EXPECT_EQ(DescribeMethods(PipelineOptions::Thesis()),
             "stereo.cost = radiometric, stereo.search = full, stereo.fusion = stability, "
-            "stereo.filter = wavelet, stereo.fill = superpixels, stereo.sky = true, "
-            "merge.neighbours = 1, merge.weights = "
-            "hat, merge.consistency = false, merge.occlusion = false");
+            "stereo.fill = superpixels, stereo.sky = true, merge.neighbours = 1, "
+            "merge.weights = hat, merge.consistency = false, merge.occlusion = false");
 }
 
 TEST(PipelineOptions, TheThesisIsValidAndTooManyMergeNeighboursAreRefusedByName) {

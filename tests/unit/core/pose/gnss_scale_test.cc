@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <map>
+#include <numbers>
 #include <optional>
 #include <random>
 #include <vector>
@@ -116,7 +117,11 @@ TEST(GnssScale, AJournalLineWithoutAFixIsNoneAndOneWithoutAccuracyIsCoarse) {
   EXPECT_FALSE(ClueFromFix(std::nullopt));
   EXPECT_FALSE(ClueFromFix(GnssFix{45.0, 10.0, 0.0, "", 0}));
   EXPECT_EQ(ClueFromFix(GnssFix{45.0, 10.0, 0.0, "", 1})->sigma_m, kUnstatedGnssSigma);
-  EXPECT_EQ(ClueFromFix(GnssFix{45.0, 10.0, 0.0, "", 4, 0.02})->sigma_m, 0.02);
+  GnssFix stated = {45.0, 10.0, 0.0, "", 4};
+  stated.error_m = 0.02;
+  EXPECT_DOUBLE_EQ(ClueFromFix(stated)->sigma_m, 0.02 / std::numbers::sqrt2);
+  stated.error_m = 0.0;
+  EXPECT_EQ(ClueFromFix(stated)->sigma_m, kUnstatedGnssSigma);
 }
 
 // --- In the tracker ---

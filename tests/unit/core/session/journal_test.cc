@@ -184,7 +184,7 @@ TEST(Journal, EveryMalformedValueIsRejectedByLineKeyAndValue) {
       {"crc32c", "4294967296", "crc32c: 4294967296, expected a whole number in [0, 4294967295]"},
       {"exposure_proof", "\"hope\"", "exposure_proof: \"hope\", expected \"none\""},
       {"gnss", "{\"lat\": 91, \"lon\": 0}", "gnss.lat: 91, expected degrees in [-90, 90]"},
-      {"gnss", "{\"lat\": 9, \"lon\": 0, \"sigma_m\": 0}", "gnss.sigma_m: 0, expected metres"},
+      {"gnss", "{\"lat\": 9, \"lon\": 0, \"error_m\": -1}", "gnss.error_m: -1, expected a number"},
       {"gnss", "[]", "gnss: [], expected a JSON object"},
       {"heading_deg", "true", "heading_deg: true, expected degrees"},
       {"pose", "{\"q\": [2, 0, 0, 0], \"t\": [0, 0, 0]}", "pose.q: [2,0,0,0], expected a unit"},

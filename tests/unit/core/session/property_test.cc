@@ -82,9 +82,18 @@ FrameRecord AnyRecord() {
       *rc::gen::element(ExposureProof::kNone, ExposureProof::kEmbedded, ExposureProof::kReadback,
                         ExposureProof::kLatency, ExposureProof::kFile);
   if (Coin()) {
-    record.gnss = GnssFix{AnyDouble(-90, 90), AnyDouble(-180, 180), AnyDouble(-1e4, 1e5), AnyText(),
-                          static_cast<int>(AnyInteger(0, 256))};
-    if (Coin()) record.gnss->sigma_m = AnyDouble(0.001, 1e4);
+    GnssFix fix;
+    fix.lat_deg = AnyDouble(-90, 90);
+    fix.lon_deg = AnyDouble(-180, 180);
+    fix.alt_m = AnyDouble(-1e4, 1e5);
+    fix.time = AnyText();
+    fix.fix = static_cast<int>(AnyInteger(0, 256));
+    fix.dimensions = static_cast<int>(AnyInteger(0, 4));
+    if (Coin()) fix.error_m = AnyDouble(0, 1e5);
+    if (Coin()) fix.time_error_s = AnyDouble(0, 10);
+    if (Coin()) fix.age_s = AnyDouble(0, 10);
+    fix.time_source = AnyText();
+    record.gnss = fix;
   }
   if (Coin()) record.heading_deg = AnyDouble(-360, 360);
   if (Coin()) record.pose = AnyPose();
@@ -121,7 +130,11 @@ RC_GTEST_PROP(SessionProperty, AFrameRecordReadsBackExactlyAsWritten, ()) {
     RC_ASSERT(read.gnss->alt_m == written.gnss->alt_m);
     RC_ASSERT(read.gnss->time == written.gnss->time);
     RC_ASSERT(read.gnss->fix == written.gnss->fix);
-    RC_ASSERT(read.gnss->sigma_m == written.gnss->sigma_m);
+    RC_ASSERT(read.gnss->dimensions == written.gnss->dimensions);
+    RC_ASSERT(read.gnss->error_m == written.gnss->error_m);
+    RC_ASSERT(read.gnss->time_error_s == written.gnss->time_error_s);
+    RC_ASSERT(read.gnss->age_s == written.gnss->age_s);
+    RC_ASSERT(read.gnss->time_source == written.gnss->time_source);
   }
   RC_ASSERT(read.heading_deg == written.heading_deg);
   RC_ASSERT(read.pose.has_value() == written.pose.has_value());

@@ -51,9 +51,39 @@ TEST(Status, JsonHoldsTheNumbersAScriptNeeds) {
   EXPECT_EQ(json["odometer_m"], 3.25);
 }
 
+TEST(Status, TheVehiclesConnectionsPlaceAndStorageAreTold) {
+  StatusReport s = Busy();
+  s.minutes_left = 95.5;
+  s.heading_deg = 271.5;
+  s.gnss.emplace();
+  s.gnss->lat_deg = 52.5;
+  s.gnss->fix = 4;
+  LinkReport link;
+  link.problem = "no answer within 200 ms";
+  link.errors = 7;
+  link.lost = 2;
+  s.links.emplace_back("modbus vehicle", link);
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["minutes_left"], 95.5);
+  EXPECT_EQ(json["heading_deg"], 271.5);
+  EXPECT_EQ(json["gnss"]["fix"], 4);
+  EXPECT_TRUE(json["gnss"]["age_s"].is_null());
+  EXPECT_EQ(json["links"][0]["name"], "modbus vehicle");
+  EXPECT_EQ(json["links"][0]["lost"], 2);
+  const std::string metrics = StatusToMetrics(s);
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_link_up{link=\"modbus vehicle\"} 0"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_link_errors_total{link=\"modbus vehicle\"} 7"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_storage_minutes_left 95.5"));
+  const std::string people = StatusForPeople(json);
+  EXPECT_THAT(people, HasSubstr("modbus vehicle: no answer within 200 ms"));
+  EXPECT_THAT(people, HasSubstr("96 minutes left"));
+}
+
 TEST(Status, WhatIsNotKnownIsNull) {
   const auto json = StatusToJson(StatusReport{});
   EXPECT_TRUE(json["odometer_m"].is_null());
+  EXPECT_TRUE(json["minutes_left"].is_null());
+  EXPECT_TRUE(json["gnss"].is_null());
   EXPECT_TRUE(json["bracket"].is_null());
   EXPECT_TRUE(json["views"]["last"].is_null());
 }

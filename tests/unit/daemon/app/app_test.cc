@@ -106,6 +106,82 @@ class SilentSource final : public TriggerSource {
   Result<std::optional<TriggerEvent>> Poll() override { return std::nullopt; }
 };
 
+// Triggers as a test says.
+class ToldSource final : public TriggerSource {
+ public:
+  std::string_view kind() const override { return "told"; }
+  Status Start() override { return {}; }
+  void Stop() override {}
+  Result<std::optional<TriggerEvent>> Poll() override {
+    std::lock_guard lock(mutex_);
+    if (events_.empty()) return std::nullopt;
+    TriggerEvent event = events_.front();
+    events_.pop_front();
+    return event;
+  }
+  std::optional<HostTime> NextDeadline() const override {
+    return SystemClock().Now() + milliseconds(5);
+  }
+  void Tell(TriggerEvent event) {
+    std::lock_guard lock(mutex_);
+    events_.push_back(std::move(event));
+  }
+
+ private:
+  std::mutex mutex_;
+  std::deque<TriggerEvent> events_;
+};
+
+// A vehicle's connection, its lamps and its strobe in one.
+class FakeVehicle final : public VehicleLink,
+                          public StatusOutput,
+                          public StrobeOutput,
+                          public PlaceSource {
+ public:
+  std::string_view name() const override { return "fake vehicle"; }
+  Status Start() override {
+    started = true;
+    return {};
+  }
+  LinkReport report() const override {
+    std::lock_guard lock(mutex_);
+    return report_;
+  }
+  void Report(bool up, const std::string& problem) {
+    std::lock_guard lock(mutex_);
+    report_.up = up;
+    report_.problem = problem;
+    report_.opened = 1;
+  }
+  void Show(const ApplianceStatus& status) override {
+    std::lock_guard lock(mutex_);
+    shown_ = status;
+  }
+  ApplianceStatus shown() const {
+    std::lock_guard lock(mutex_);
+    return shown_;
+  }
+  Status Pulse() override {
+    ++pulses;
+    return Fail(ErrorKind::kUnavailable, "the line has gone");
+  }
+  std::optional<GnssFix> Fix(HostTime) const override {
+    GnssFix fix;
+    fix.lat_deg = 52.5;
+    fix.fix = 4;
+    return fix;
+  }
+  std::optional<double> HeadingDeg(HostTime) const override { return 12.5; }
+
+  std::atomic<bool> started = false;
+  std::atomic<int> pulses = 0;
+
+ private:
+  mutable std::mutex mutex_;
+  LinkReport report_;
+  ApplianceStatus shown_;
+};
+
 // Writes no pictures, but keeps the law: a view is complete two positions later, or at Finish.
 class FakeProcessor final : public SessionProcessor {
  public:
@@ -157,9 +233,17 @@ class AppTest : public ::testing::Test {
     app_ = std::make_unique<App>(
         config_, *choice, [this](const PartsContext& context) -> Result<AppParts> {
           first_trigger_ = context.first_trigger;
+          last_odometer_m_ = context.last_odometer_m;
+          command_ = context.command;
           AppParts parts;
           parts.camera = camera_;
-          parts.triggers = std::make_unique<SilentSource>();
+          parts.triggers = triggers_;
+          if (vehicle_) {
+            parts.links.push_back(vehicle_);
+            parts.outputs.push_back(vehicle_);
+            parts.strobe = vehicle_;
+            parts.place = vehicle_;
+          }
           parts.open_pipeline = [this](const std::filesystem::path& session, ProcessorCallbacks) {
             return Result<std::unique_ptr<SessionProcessor>>(
                 std::make_unique<FakeProcessor>(session, views_fail_));
@@ -220,6 +304,10 @@ class AppTest : public ::testing::Test {
   std::shared_ptr<FakeCamera> camera_ = std::make_shared<FakeCamera>();
   std::atomic<bool> views_fail_ = false;
   std::uint64_t first_trigger_ = 0;
+  std::optional<double> last_odometer_m_;
+  CommandHandler command_;
+  std::shared_ptr<TriggerSource> triggers_ = std::make_shared<SilentSource>();
+  std::shared_ptr<FakeVehicle> vehicle_;
   std::unique_ptr<App> app_;
   std::thread thread_;
   Status outcome_;
@@ -368,6 +456,88 @@ TEST_F(AppTest, ViewsAreMadeAtTheLowestPriorityAndCaptureIsNot) {
   EXPECT_EQ(threads["pipeline"], (std::pair{19, SCHED_BATCH}));
   EXPECT_EQ(threads["camera"], (std::pair{usual, SCHED_OTHER}));
   EXPECT_EQ(threads["recorder"], (std::pair{usual, SCHED_OTHER}));
+}
+
+TEST_F(AppTest, LampsAndFieldBusShowWhatTheApplianceDoes) {
+  vehicle_ = std::make_shared<FakeVehicle>();
+  vehicle_->Report(true, "");
+  Start();
+  EXPECT_TRUE(vehicle_->started);
+  ASSERT_TRUE(Eventually([&] { return vehicle_->shown().state == CaptureState::kArmed; }));
+  EXPECT_TRUE(vehicle_->shown().armed);
+  EXPECT_TRUE(vehicle_->shown().gnss_fix);
+  camera_->SetAnswering(false);
+  Trigger();
+  ASSERT_TRUE(Eventually([&] { return vehicle_->shown().busy; }));
+  EXPECT_EQ(vehicle_->pulses, 1) << "a pulse with every picture that is commanded";
+  ASSERT_TRUE(Eventually([&] { return !vehicle_->shown().busy; }));
+  ASSERT_TRUE(Eventually([&] { return vehicle_->shown().frames_lost == 1; }));
+  ASSERT_TRUE(Eventually([&] { return vehicle_->shown().state == CaptureState::kDegraded; }));
+  EXPECT_THAT(vehicle_->shown().last_fault, HasSubstr("camera-timeout"));
+  camera_->SetAnswering(true);
+  Trigger();
+  ASSERT_TRUE(Eventually([&] { return vehicle_->shown().frames_recorded == 1; }));
+  EXPECT_TRUE(Join(true));
+  EXPECT_EQ(vehicle_->shown().state, CaptureState::kStopping);
+  const auto frames = ReadSession(session())->journal.frames;
+  ASSERT_EQ(frames.size(), 2U);
+  for (const FrameRecord& frame : frames) {
+    EXPECT_EQ(frame.gnss->lat_deg, 52.5);
+    EXPECT_EQ(frame.gnss->fix, 4);
+    EXPECT_EQ(frame.heading_deg, 12.5);
+  }
+}
+
+TEST_F(AppTest, AConnectionThatIsMissingDegradesAndIsToldUntilItWorksAgain) {
+  vehicle_ = std::make_shared<FakeVehicle>();
+  vehicle_->Report(false, "no answer");
+  Start();
+  ASSERT_TRUE(InState("degraded"));
+  const nlohmann::json status = Client().Get("/v1/status").value();
+  EXPECT_THAT(status["reason"].get<std::string>(), HasSubstr("fake vehicle: no answer"));
+  EXPECT_EQ(status["links"][0]["up"], false);
+  vehicle_->Report(true, "");
+  ASSERT_TRUE(InState("armed"));
+}
+
+TEST_F(AppTest, AFieldBusArmsDisarmsAndTriggersAndHearsWhyNot) {
+  config_.trigger.armed_at_start = false;
+  vehicle_ = std::make_shared<FakeVehicle>();
+  Start();
+  ASSERT_TRUE(InState("idle"));
+  const Status refused = command_(ApplianceCommand::kTrigger);
+  ASSERT_FALSE(refused);
+  EXPECT_THAT(refused.error().message, HasSubstr("disarmed: arm first"));
+  EXPECT_TRUE(command_(ApplianceCommand::kArm));
+  EXPECT_TRUE(command_(ApplianceCommand::kTrigger));
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(command_(ApplianceCommand::kDisarm));
+  EXPECT_FALSE(command_(ApplianceCommand::kTrigger));
+}
+
+TEST_F(AppTest, TriggersLostInTheKernelAreJournalLinesWithTheirReason) {
+  const auto source = std::make_shared<ToldSource>();
+  triggers_ = source;
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  TriggerEvent event;
+  event.time = SystemClock().Now();
+  event.odometer_m = 12.5;
+  event.lost_before = 2;
+  event.lost_reason = "the kernel lost this edge of the trigger line: its buffer was full";
+  source->Tell(event);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  ASSERT_EQ(frames.size(), 3U);
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(frames[i].status, FrameStatus::kMissedTrigger);
+    EXPECT_EQ(frames[i].detail, event.lost_reason);
+  }
+  EXPECT_EQ(frames[2].status, FrameStatus::kOk);
+  EXPECT_EQ(frames[2].odometer_m, 12.5);
+  Start();
+  EXPECT_EQ(last_odometer_m_, 12.5) << "a continued session goes on from its last place";
 }
 
 TEST_F(AppTest, ManyClientsAtOnceAreServed) {

@@ -375,6 +375,8 @@ TEST(Config, TheBracketInStepsIsAGeometricSeries) {
 TEST(Config, KeysThatNeedEachOtherAreCheckedTogether) {
   EXPECT_THAT(OnlyProblem("camera.driver = 'replay'\n"),
               HasSubstr("dir/test.toml:1: camera.replay.session: \"\", expected a session"));
+  EXPECT_THAT(OnlyProblem("camera.driver = 'iidc'\n"),
+              HasSubstr("dir/test.toml:1: camera.iidc.rig: \"\", expected the rig file"));
   EXPECT_THAT(OnlyProblem("trigger.source = 'replay'\n"), HasSubstr("trigger.source: \"replay\""));
   EXPECT_THAT(OnlyProblem("bracket.order = 'list'\nbracket.start_s = 0.01\n"),
               HasSubstr("bracket.order: \"list\", expected"));

@@ -1,0 +1,456 @@
+#include "drivers/iidc/iidc_camera.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "drivers/iidc/registers.h"
+#include "drivers/iidc/trigger_mode.h"
+#include "drivers/iidc/usb_link.h"
+#include "drivers/usb/libusb_bus.h"
+#include "drivers/usb/recording.h"
+
+namespace omnihdr::iidc {
+namespace {
+
+using std::chrono::milliseconds;
+
+constexpr std::size_t kMaxWaiting = 4;
+constexpr int kMaxFailures = 3;
+constexpr Nanoseconds kIdleLook = milliseconds(50);
+constexpr Nanoseconds kSlice = milliseconds(50);
+// The exposure begins no later than this after the trigger's write has been answered.
+constexpr Nanoseconds kLongestStart = milliseconds(2);
+// Chunks thrown away at once while nobody waits for a frame.
+constexpr int kMaxStrayChunks = 1000;
+
+Nanoseconds FromSeconds(double seconds) {
+  return Nanoseconds(static_cast<std::int64_t>(std::llround(seconds * 1e9)));
+}
+
+}  // namespace
+
+IidcCamera::IidcCamera(IidcCameraOptions options, std::unique_ptr<LinkFinder> finder,
+                       RegisterTimeouts timeouts)
+    : options_(std::move(options)), finder_(std::move(finder)), timeouts_(timeouts) {}
+
+IidcCamera::~IidcCamera() { Close(); }
+
+Result<CameraInfo> IidcCamera::Open() {
+  {
+    std::lock_guard lock(mutex_);
+    if (open_ && away_.empty()) return camera_->info;
+  }
+  Close();
+  Result<ReadyCamera> ready = OpenAndSetUp(*finder_, options_, timeouts_).Context("IIDC camera");
+  if (!ready) return Forward(std::move(ready).error());
+  camera_ = std::move(*ready);
+  assembler_.emplace(camera_->format.frame_bytes, camera_->format.marked_ends);
+  camera_clock_.Reset();
+  shutters_ = {};
+  gains_ = {};
+  in_force_.reset();
+  last_counter_.reset();
+  counter_ = 0;
+  discarded_ = 0;
+  failures_ = 0;
+  std::lock_guard lock(mutex_);
+  open_ = true;
+  away_.clear();
+  return camera_->info;
+}
+
+void IidcCamera::Close() {
+  Stop();
+  std::lock_guard lock(mutex_);
+  open_ = false;
+  camera_.reset();
+}
+
+Status IidcCamera::Start() {
+  {
+    std::lock_guard lock(mutex_);
+    if (!open_) return Fail(ErrorKind::kUnavailable, "IIDC camera: start: not open");
+    if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: start: {}", away_);
+    if (running_) return {};
+  }
+  assembler_->Reset();
+  const auto begin = [this]() -> Status {
+    OMNIHDR_TRY(camera_->link->StartStream(camera_->format.frame_bytes));
+    OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, Bit(31), Bit(31), "ISO_EN"));
+    return {};
+  };
+  if (Status begun = begin(); !begun) {
+    camera_->link->StopStream();
+    return Forward(std::move(begun).error(), "IIDC camera: start");
+  }
+  std::lock_guard lock(mutex_);
+  running_ = true;
+  request_.reset();
+  worker_ = std::make_unique<Stage>(
+      "iidc-camera", [this](std::stop_token stop, Stage& stage) { return RunShots(stop, stage); });
+  return {};
+}
+
+void IidcCamera::Stop() {
+  std::unique_ptr<Stage> worker;
+  {
+    std::lock_guard lock(mutex_);
+    running_ = false;
+    worker = std::move(worker_);
+  }
+  if (worker) {
+    worker->RequestStop();
+    changed_.notify_all();
+    // It ends with an error only when an exception escaped it, and the camera stops either way.
+    static_cast<void>(worker->Join());
+    bool gone = false;
+    {
+      std::lock_guard lock(mutex_);
+      gone = !away_.empty();
+    }
+    // The ring goes on taking data until the camera has stopped sending. Whether it listened shows
+    // when it is opened again.
+    if (!gone) static_cast<void>(camera_->registers->Write(kIsoEnable, 0, "ISO_EN"));
+    camera_->link->StopStream();
+  }
+  std::lock_guard lock(mutex_);
+  request_.reset();
+  busy_ = false;
+  frames_.clear();
+  changed_.notify_all();
+}
+
+void IidcCamera::GoAway(std::string reason) {
+  away_ = std::move(reason);
+  request_.reset();
+  busy_ = false;
+  frames_.clear();
+  changed_.notify_all();
+}
+
+Status IidcCamera::Trigger(const ExposureRequest& request) {
+  std::lock_guard lock(mutex_);
+  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: {}", away_);
+  if (!running_) return Fail(ErrorKind::kUnavailable, "IIDC camera: trigger: not started");
+  const CameraInfo& info = camera_->info;
+  if (!request.exposure.IsValid() || request.exposure.time < info.shortest ||
+      request.exposure.time > info.longest) {
+    return Fail(ErrorKind::kUsage, "IIDC camera: exposure {} s: expected {} to {} s",
+                request.exposure.time.seconds(), info.shortest.seconds(), info.longest.seconds());
+  }
+  const double gain = request.exposure.gain.value;
+  if (!camera_->gain_range && gain != 0.0) {
+    return Fail(ErrorKind::kUsage, "IIDC camera: gain {} dB: the camera has no gain", gain);
+  }
+  if (camera_->gain_range &&
+      (gain < camera_->gain_range->minimum || gain > camera_->gain_range->maximum)) {
+    return Fail(ErrorKind::kUsage, "IIDC camera: gain {} dB: expected {} to {} dB", gain,
+                camera_->gain_range->minimum, camera_->gain_range->maximum);
+  }
+  if (request_ || busy_) {
+    return Fail(ErrorKind::kTemporary, "IIDC camera: busy with the picture before");
+  }
+  if (frames_.size() >= kMaxWaiting) {
+    return Fail(ErrorKind::kTemporary, "IIDC camera: busy: {} pictures wait to be received",
+                kMaxWaiting);
+  }
+  request_ = request;
+  changed_.notify_all();
+  return {};
+}
+
+Result<CameraFrame> IidcCamera::Receive(Nanoseconds timeout) {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, timeout,
+                    [this] { return !running_ || !away_.empty() || !frames_.empty(); });
+  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: {}", away_);
+  if (!running_) return Fail(ErrorKind::kUnavailable, "IIDC camera: receive: not started");
+  if (frames_.empty()) {
+    return Fail(ErrorKind::kTemporary, "IIDC camera: no picture within {} ms",
+                timeout.count() / 1'000'000);
+  }
+  CameraFrame frame = std::move(frames_.front());
+  frames_.pop_front();
+  return frame;
+}
+
+IidcCamera::Counts IidcCamera::counts() const {
+  std::lock_guard lock(mutex_);
+  return counts_;
+}
+
+Status IidcCamera::RunShots(std::stop_token stop, Stage& stage) {
+  while (!stop.stop_requested()) {
+    stage.Progress();
+    std::optional<ExposureRequest> request;
+    {
+      std::unique_lock lock(mutex_);
+      changed_.wait_for(lock, kIdleLook,
+                        [&] { return request_.has_value() || stop.stop_requested(); });
+      if (!away_.empty() || stop.stop_requested()) return {};
+      request = std::exchange(request_, std::nullopt);
+      busy_ = request.has_value();
+    }
+    if (!request) {
+      // Nobody waits for anything: what comes now belongs to nobody, and a lost camera shows.
+      if (Status idle = DropStrays(); !idle) {
+        std::lock_guard lock(mutex_);
+        GoAway(idle.error().message);
+        return {};
+      }
+      continue;
+    }
+    Result<std::optional<CameraFrame>> taken = TakePicture(*request, stop);
+    std::lock_guard lock(mutex_);
+    if (taken) {
+      failures_ = 0;
+      if (*taken) {
+        frames_.push_back(std::move(**taken));
+      } else {
+        ++counts_.lost;
+        ++counter_;  // unless the camera's own counter knows better
+      }
+    } else if (taken.error().kind == ErrorKind::kUnavailable || ++failures_ >= kMaxFailures) {
+      GoAway(taken.error().message);
+      return {};
+    } else {
+      CameraFrame frame;
+      frame.trigger = request->trigger;
+      frame.status = FrameStatus::kMissedTrigger;
+      frame.detail = taken.error().message;
+      frame.camera_counter = counter_;
+      frame.mid_exposure = request->trigger_time;
+      frames_.push_back(std::move(frame));
+    }
+    busy_ = false;
+    changed_.notify_all();
+  }
+  return {};
+}
+
+Result<std::optional<CameraFrame>> IidcCamera::TakePicture(const ExposureRequest& request,
+                                                           std::stop_token stop) {
+  const bool changes = !in_force_ || in_force_->asked != request.exposure;
+  if (changes) OMNIHDR_TRY(SetExposure(request.exposure).Context("set the exposure"));
+  int settle = options_.settle_frames;
+  if (settle < 0) settle = camera_->model ? camera_->model->settle_frames : 0;
+  for (int i = 0; changes && i < settle && !stop.stop_requested(); ++i) {
+    OMNIHDR_ASSIGN(const Sent sent, SendTrigger());
+    OMNIHDR_ASSIGN(const std::optional<RawFrame> thrown_away, WaitForFrame(sent, stop));
+    if (thrown_away) ++discarded_;
+  }
+  OMNIHDR_ASSIGN(const Sent sent, SendTrigger());
+  OMNIHDR_ASSIGN(std::optional<RawFrame> raw, WaitForFrame(sent, stop));
+  if (!raw) return std::optional<CameraFrame>();
+  CameraFrame frame = MakeFrame(request, sent, std::move(*raw));
+  if (!assembler_->in_step()) OMNIHDR_TRY(RestartStream().Context("begin the stream anew"));
+  return std::optional<CameraFrame>(std::move(frame));
+}
+
+Status IidcCamera::SetExposure(const Exposure& exposure) {
+  in_force_.reset();
+  InForce next;
+  next.asked = exposure;
+  OMNIHDR_ASSIGN(const Feature::Set shutter,
+                 camera_->shutter->SetAbsolute(exposure.time.seconds()));
+  shutters_.Learn(shutter.raw, shutter.value);
+  next.measured.time = ExposureTime::Seconds(shutter.value);
+  next.shutter_raw = shutter.raw;
+  if (camera_->gain_range) {
+    OMNIHDR_ASSIGN(const Feature::Set gain, camera_->gain->SetAbsolute(exposure.gain.value));
+    gains_.Learn(gain.raw, gain.value);
+    next.measured.gain = GainDb{gain.value};
+    next.gain_raw = gain.raw;
+  }
+  in_force_ = next;
+  return {};
+}
+
+Result<IidcCamera::Sent> IidcCamera::SendTrigger() {
+  OMNIHDR_TRY(WaitForTriggerReady(*camera_->registers));
+  OMNIHDR_TRY(DropStrays());
+  assembler_->Reset();
+  Sent sent;
+  sent.before = clock_.Now();
+  Status status = SendSoftwareTrigger(*camera_->registers);
+  sent.after = clock_.Now();
+  sent.confirmed = status.has_value();
+  // Without an answer it may still have worked: the frame will tell.
+  if (!status && status.error().kind != ErrorKind::kTemporary) {
+    return Forward(std::move(status).error());
+  }
+  return sent;
+}
+
+Result<std::optional<RawFrame>> IidcCamera::WaitForFrame(const Sent& sent, std::stop_token stop) {
+  const Nanoseconds exposure = FromSeconds(in_force_->measured.time.seconds());
+  const HostTime deadline = sent.after + exposure + FromSeconds(options_.frame_timeout_s);
+  bool stray_seen = false;
+  while (!stop.stop_requested()) {
+    const Nanoseconds left = deadline - clock_.Now();
+    if (left <= Nanoseconds(0)) break;
+    Result<StreamChunk> chunk = camera_->link->ReadStream(std::min(left, kSlice));
+    if (!chunk) {
+      if (chunk.error().kind == ErrorKind::kTemporary) continue;
+      return Forward(Error{ErrorKind::kUnavailable, std::move(chunk).error().message});
+    }
+    std::vector<RawFrame> frames = assembler_->Add(*chunk);
+    camera_->link->Recycle(std::move(*chunk));
+    for (RawFrame& frame : frames) {
+      if (!IsStray(frame, sent)) return std::optional<RawFrame>(std::move(frame));
+      stray_seen = true;
+      std::lock_guard lock(mutex_);
+      ++counts_.strays;
+    }
+  }
+  // Frames that always seem too old mean that the camera's clock is not what it was.
+  if (stray_seen) camera_clock_.Reset();
+  if (!assembler_->in_step()) OMNIHDR_TRY(RestartStream().Context("begin the stream anew"));
+  return std::optional<RawFrame>();
+}
+
+bool IidcCamera::IsStray(const RawFrame& frame, const Sent& sent) {
+  const std::optional<FrameFacts> facts = ReadFacts(frame.bytes, camera_->picture);
+  if (!facts || !facts->info.cycle_time) return false;
+  const std::optional<std::int64_t> cycle_ns = CycleTimeNanoseconds(*facts->info.cycle_time);
+  if (!cycle_ns) return false;
+  CameraClock clock = camera_clock_;  // a frame that is thrown away leaves no trace
+  const CameraTime taken = clock.Unwrap(*cycle_ns, frame.arrived);
+  const std::optional<HostTime> at = clock.ToHost(taken);
+  return at && *at + clock.uncertainty(taken) < sent.before;
+}
+
+Status IidcCamera::DropStrays() {
+  for (int i = 0; i < kMaxStrayChunks; ++i) {
+    Result<StreamChunk> chunk = camera_->link->ReadStream(Nanoseconds(0));
+    if (!chunk) {
+      if (chunk.error().kind == ErrorKind::kTemporary) return {};
+      return Forward(Error{ErrorKind::kUnavailable, std::move(chunk).error().message});
+    }
+    const std::size_t frames = assembler_->Add(*chunk).size();
+    camera_->link->Recycle(std::move(*chunk));
+    std::lock_guard lock(mutex_);
+    counts_.strays += frames;
+  }
+  return Fail(ErrorKind::kProtocol, "the camera sends without being triggered");
+}
+
+Status IidcCamera::RestartStream() {
+  OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, 0, Bit(31), "ISO_EN"));
+  camera_->link->StopStream();
+  assembler_->Reset();
+  OMNIHDR_TRY(camera_->link->StartStream(camera_->format.frame_bytes));
+  OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, Bit(31), Bit(31), "ISO_EN"));
+  return {};
+}
+
+void IidcCamera::Prove(const EmbeddedInfo& info, CameraFrame& frame) const {
+  Exposure measured = in_force_->measured;
+  frame.proof = info.shutter ? ExposureProof::kEmbedded : ExposureProof::kReadback;
+  // What an embedded word says; nothing when that is not known.
+  const auto meaning = [&frame](std::uint32_t word, const ExposureTable& table,
+                                std::uint32_t raw_in_force,
+                                double value_in_force) -> std::optional<double> {
+    const std::uint32_t raw = word & 0xFFF;
+    if (table.ambiguous(raw) && raw == raw_in_force) {
+      // Several settings have this register value: it proves less than what was read back.
+      frame.proof = ExposureProof::kReadback;
+      return value_in_force;
+    }
+    return table.Find(raw);
+  };
+  const auto unproven = [&frame](const char* what, std::uint32_t word) {
+    frame.proof = ExposureProof::kNone;
+    if (frame.detail.empty()) {
+      frame.detail = fmt::format("the frame's {} word {:#x} stands for nothing that was set", what,
+                                 word & 0xFFF);
+    }
+  };
+  if (info.shutter) {
+    const std::optional<double> seconds =
+        meaning(*info.shutter, shutters_, in_force_->shutter_raw, measured.time.seconds());
+    if (!seconds) return unproven("shutter", *info.shutter);
+    measured.time = ExposureTime::Seconds(*seconds);
+  }
+  if (info.gain && camera_->gain_range) {
+    const std::optional<double> gain =
+        meaning(*info.gain, gains_, in_force_->gain_raw, measured.gain.value);
+    if (!gain) return unproven("gain", *info.gain);
+    measured.gain = GainDb{*gain};
+  }
+  frame.measured_exposure = measured;
+}
+
+std::uint64_t IidcCamera::Count(std::optional<std::uint32_t> embedded) {
+  if (embedded && last_counter_) {
+    // The difference wraps with the camera's 32 bits.
+    counter_ = counter_at_last_ + (*embedded - *last_counter_ - discarded_);
+  } else {
+    ++counter_;
+  }
+  if (embedded) {
+    last_counter_ = embedded;
+    counter_at_last_ = counter_;
+    discarded_ = 0;
+  }
+  return counter_;
+}
+
+CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw) {
+  CameraFrame frame;
+  frame.trigger = request.trigger;
+  if (raw.torn) {
+    frame.status = FrameStatus::kCorrupt;
+    frame.detail = raw.detail;
+    std::lock_guard lock(mutex_);
+    ++counts_.torn;
+  }
+  const std::optional<FrameFacts> facts = ReadFacts(raw.bytes, camera_->picture);
+  const EmbeddedInfo info = facts ? facts->info : EmbeddedInfo{};
+  if (facts && !facts->one_exposure) {
+    if (frame.detail.empty()) frame.detail = "the sensors had different exposures";
+  } else if (facts || camera_->info.proof == ExposureProof::kReadback) {
+    Prove(info, frame);
+  }
+
+  frame.camera_counter = Count(info.counter);
+
+  const Nanoseconds exposure = FromSeconds(in_force_->measured.time.seconds());
+  HostTime start = sent.before + (sent.after - sent.before) / 2;
+  if (info.cycle_time) {
+    if (const auto cycle_ns = CycleTimeNanoseconds(*info.cycle_time)) {
+      const CameraTime taken = camera_clock_.Unwrap(*cycle_ns, raw.arrived);
+      if (sent.confirmed) camera_clock_.Add(taken, sent.before, sent.after + kLongestStart);
+      frame.camera_time = taken;
+      start = camera_clock_.ToHost(taken).value_or(start);
+    }
+  }
+  frame.mid_exposure =
+      std::clamp(start + exposure / 2, sent.before, std::max(sent.before, raw.arrived));
+  frame.settings_readback_json =
+      fmt::format(R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
+                  in_force_->measured.time.seconds(), in_force_->measured.gain.value,
+                  in_force_->shutter_raw, in_force_->gain_raw);
+  Result<Image<std::uint8_t>> picture = ReadPicture(std::move(raw.bytes), camera_->picture);
+  if (!picture) {
+    if (frame.status == FrameStatus::kOk) frame.detail = picture.error().message;
+    frame.status = FrameStatus::kCorrupt;
+    picture = Image<std::uint8_t>(camera_->picture.width, camera_->picture.height);
+  }
+  frame.pixels = std::move(*picture);
+  return frame;
+}
+
+std::unique_ptr<Camera> MakeUsbIidcCamera(IidcCameraOptions options) {
+  std::shared_ptr<usb::Bus> bus = usb::MakeLibusbBus();
+  if (!options.usb_recording.empty()) {
+    bus = usb::MakeRecordingBus(std::move(bus), {.file = options.usb_recording});
+  }
+  return std::make_unique<IidcCamera>(std::move(options), MakeUsbFinder(std::move(bus)));
+}
+
+}  // namespace omnihdr::iidc

@@ -1,0 +1,111 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "core/base/clock.h"
+#include "core/base/stage.h"
+#include "core/ports/camera.h"
+#include "drivers/iidc/camera_clock.h"
+#include "drivers/iidc/camera_setup.h"
+#include "drivers/iidc/exposure_table.h"
+#include "drivers/iidc/frame_assembler.h"
+#include "drivers/iidc/frame_info.h"
+
+namespace omnihdr::iidc {
+
+// An IIDC camera (Camera's laws hold), triggered by software: a trigger sets shutter and gain,
+// reads them back, waits until the camera is ready, and triggers it. One picture is on its way at a
+// time; a trigger before it has arrived is refused as busy, as is one while four pictures wait to
+// be received. The exposure a frame had is what the camera wrote into the frame; without that, what
+// its registers said (proof readback). A picture that does not come within frame_timeout_s of its
+// exposure is given up; when it comes later it is thrown away, for its time stamp is older than the
+// next trigger. Registers that fail at a trigger give a kMissedTrigger frame that says so; three
+// such in a row, or a camera that has gone, end in kUnavailable.
+class IidcCamera final : public Camera {
+ public:
+  IidcCamera(IidcCameraOptions options, std::unique_ptr<LinkFinder> finder,
+             RegisterTimeouts timeouts = {});
+  ~IidcCamera() override;
+
+  Result<CameraInfo> Open() override;
+  void Close() override;
+  Status Start() override;
+  void Stop() override;
+  Status Trigger(const ExposureRequest& request) override;
+  Result<CameraFrame> Receive(Nanoseconds timeout) override;
+
+  struct Counts {
+    std::uint64_t torn = 0;    // frames with lost or surplus bytes
+    std::uint64_t strays = 0;  // frames that no trigger waited for
+    std::uint64_t lost = 0;    // triggers whose frame never came
+  };
+  Counts counts() const;
+
+ private:
+  struct InForce {
+    Exposure asked;
+    Exposure measured;
+    std::uint32_t shutter_raw = 0;
+    std::uint32_t gain_raw = 0;
+  };
+  // When the trigger was sent.
+  struct Sent {
+    HostTime before;
+    HostTime after;
+    bool confirmed = false;
+  };
+
+  Status RunShots(std::stop_token stop, Stage& stage);
+  Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
+                                                 std::stop_token stop);
+  Status SetExposure(const Exposure& exposure);
+  Result<Sent> SendTrigger();
+  Result<std::optional<RawFrame>> WaitForFrame(const Sent& sent, std::stop_token stop);
+  CameraFrame MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw);
+  std::uint64_t Count(std::optional<std::uint32_t> embedded);
+  void Prove(const EmbeddedInfo& info, CameraFrame& frame) const;
+  bool IsStray(const RawFrame& frame, const Sent& sent);
+  Status DropStrays();
+  Status RestartStream();
+  void GoAway(std::string reason);  // with mutex_
+
+  const IidcCameraOptions options_;
+  const std::unique_ptr<LinkFinder> finder_;
+  const RegisterTimeouts timeouts_;
+  const SystemClock clock_;
+
+  // Of whoever runs Open, Start, Stop and Close, and of the worker in between.
+  std::optional<ReadyCamera> camera_;
+  std::optional<FrameAssembler> assembler_;
+  CameraClock camera_clock_;
+  ExposureTable shutters_;
+  ExposureTable gains_;
+  std::optional<InForce> in_force_;
+  std::optional<std::uint32_t> last_counter_;
+  std::uint64_t counter_ = 0;  // as told outside: pictures thrown away on purpose left out
+  std::uint64_t counter_at_last_ = 0;
+  std::uint32_t discarded_ = 0;  // since last_counter_
+  int failures_ = 0;
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  bool open_ = false;
+  bool running_ = false;
+  std::string away_;  // why the camera has gone; empty = it has not
+  std::optional<ExposureRequest> request_;
+  bool busy_ = false;
+  std::deque<CameraFrame> frames_;
+  Counts counts_;
+  std::unique_ptr<Stage> worker_;
+};
+
+// The cameras on this machine's USB.
+std::unique_ptr<Camera> MakeUsbIidcCamera(IidcCameraOptions options);
+
+}  // namespace omnihdr::iidc

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <cstdint>
+
+#include "drivers/iidc/register_bus.h"
+
+namespace omnihdr::iidc {
+
+// What a camera's trigger can do (register 0x530).
+struct TriggerInquiry {
+  bool present = false;
+  bool software = false;
+  bool polarity = false;
+  std::uint32_t modes = 0;    // bit m: mode m (0 to 5, 14, 15)
+  std::uint32_t sources = 0;  // bit s: source s (0 to 3)
+};
+TriggerInquiry ParseTriggerInquiry(std::uint32_t quadlet);
+
+inline constexpr std::uint32_t kSoftwareSource = 7;
+
+// Software trigger in mode 0 (one picture, shutter register), 14 (the same, the next exposure may
+// overlap the readout) or 15 (`pictures` pictures a trigger). Read back. kConfig: the camera has no
+// such mode or no software trigger.
+Status SetUpSoftwareTrigger(const Registers& registers, int mode, int pictures = 1);
+// Free running.
+Status SwitchTriggerOff(const Registers& registers);
+
+// Waits until the camera takes a trigger (deadline: the settling time) and triggers it. Never sent
+// twice: a trigger whose answer is lost may have worked.
+Status WaitForTriggerReady(const Registers& registers);
+Status SendSoftwareTrigger(const Registers& registers);
+
+}  // namespace omnihdr::iidc

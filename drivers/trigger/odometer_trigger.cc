@@ -1,0 +1,118 @@
+#include "drivers/trigger/odometer_trigger.h"
+
+#include <fmt/format.h>
+#include <sys/eventfd.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cmath>
+#include <utility>
+
+namespace omnihdr {
+namespace {
+
+// Marks beyond which an odometer that jumps is not followed one by one.
+constexpr std::int64_t kMostMarksAtOnce = 1024;
+
+}  // namespace
+
+Status OdometerTriggerOptions::Validate() const {
+  if (distance_m >= 0.001 && distance_m <= 10000.0) return {};
+  return Fail(ErrorKind::kConfig, "distance_m: {}: expected 0.001 to 10000", distance_m);
+}
+
+OdometerTrigger::OdometerTrigger(const OdometerTriggerOptions& options,
+                                 std::shared_ptr<Odometer> odometer, const Clock& clock)
+    : options_(options), odometer_(std::move(odometer)), clock_(clock) {}
+
+OdometerTrigger::~OdometerTrigger() { Stop(); }
+
+Status OdometerTrigger::Start() {
+  OMNIHDR_TRY(options_.Validate());
+  if (fd_.valid()) return {};
+  Fd fd(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC));
+  if (!fd.valid()) return FailErrno(ErrorKind::kSystem, "distance trigger: eventfd", errno);
+  fd_ = std::move(fd);
+  odometer_->Listen([descriptor = fd_.get()] {
+    const std::uint64_t one = 1;
+    // Full means that it is readable already.
+    [[maybe_unused]] const ssize_t written = write(descriptor, &one, sizeof one);
+  });
+  Synchronise();
+  return {};
+}
+
+void OdometerTrigger::Stop() {
+  if (!fd_.valid()) return;
+  odometer_->Listen({});
+  fd_.Close();
+  counting_since_.reset();
+}
+
+void OdometerTrigger::Synchronise() {
+  const HostTime now = clock_.Now();
+  const std::optional<double> reading = odometer_->OdometerMetres(now);
+  if (!reading || !(std::abs(*reading / options_.distance_m) < 9e15)) return;
+  const auto mark = static_cast<std::int64_t>(std::ceil(*reading / options_.distance_m - 1e-9));
+  next_ = counted_before_ ? std::max(next_, mark) : mark;
+  counted_before_ = true;
+  counting_since_ = now;
+  odometer_lost_ = odometer_->lost();
+}
+
+Result<std::optional<TriggerEvent>> OdometerTrigger::Poll() {
+  if (!fd_.valid()) return std::nullopt;
+  std::uint64_t news = 0;
+  if (read(fd_.get(), &news, sizeof news) < 0 && errno != EAGAIN && errno != EINTR) {
+    return FailErrno(ErrorKind::kSystem, "distance trigger: read", errno);
+  }
+  if (!counting_since_) Synchronise();
+  if (!counting_since_) return std::nullopt;
+
+  const HostTime now = clock_.Now();
+  TriggerEvent event;
+  if (const std::optional<double> reading = odometer_->OdometerMetres(now)) {
+    const double reached = *reading / options_.distance_m - static_cast<double>(kMostMarksAtOnce);
+    if (reached > static_cast<double>(next_) && reached < 9e15) {
+      const auto skip = static_cast<std::int64_t>(reached) - next_;
+      event.lost_before += static_cast<std::uint64_t>(skip);
+      next_ += skip;
+    }
+  }
+  for (std::int64_t i = 0; i <= kMostMarksAtOnce + 1; ++i) {
+    std::optional<HostTime> passed = odometer_->TimeAt(NextMark());
+    if (!passed || *passed > now) break;
+    passed = std::max(*passed, *counting_since_);
+    if (now - *passed > options_.max_late) {
+      ++event.lost_before;
+      ++next_;
+      continue;
+    }
+    event.time = *passed;
+    event.odometer_m = NextMark();
+    ++next_;
+    if (event.lost_before > 0) {
+      const std::uint64_t missing = odometer_->lost() - odometer_lost_;
+      event.lost_reason = fmt::format(
+          "the odometer told of this mark more than {} ms after it was passed{}",
+          std::chrono::duration_cast<std::chrono::milliseconds>(options_.max_late).count(),
+          missing > 0 ? fmt::format(" (readings lost: {})", missing) : "");
+      odometer_lost_ += missing;
+    }
+    return event;
+  }
+  // Marks that were lost wait for the event that tells of them: none of their own can be made.
+  if (event.lost_before > 0) next_ -= static_cast<std::int64_t>(event.lost_before);
+  return std::nullopt;
+}
+
+std::optional<HostTime> OdometerTrigger::NextDeadline() const {
+  if (!fd_.valid() || !counting_since_) return std::nullopt;
+  const std::optional<HostTime> passed = odometer_->TimeAt(NextMark());
+  // What has been passed is told of by the descriptor or by the next mark.
+  if (!passed || *passed <= clock_.Now()) return std::nullopt;
+  return passed;
+}
+
+}  // namespace omnihdr

@@ -1,0 +1,139 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/base/clock.h"
+#include "core/sphere/rig.h"
+
+namespace omnihdr::emulators {
+
+struct IidcDeviceOptions {
+  std::uint64_t guid = 0x00B09D0100C0FFEE;
+  std::uint32_t serial = 12648430;
+  int max_width = 64;
+  int max_height = 288;  // six sensors of 48 rows
+  int rows_per_sensor = 48;
+  BayerOrder bayer = BayerOrder::kBggr;
+  double shortest_s = 1e-5;
+  double longest_s = 4.0;
+  int exposure_latency = 0;  // pictures until a new shutter or gain is in force
+  double readout_s = 0.003;
+  std::uint32_t first_counter = 100;
+  std::uint32_t first_cycle_s = 126;  // the cycle time wraps at 128 s
+  std::size_t link_packet_bytes = 512;
+  bool embedded_info = true;
+  bool handshake_never_ends = false;
+  bool coarse_words = false;  // sixteen shutter settings share a value of register and frame
+  bool keeps_gamma = false;   // a gamma that cannot be switched off by writing
+};
+
+// A device model of an IIDC camera, free of any transport: registers, configuration ROM, Format7,
+// features, software trigger, embedded frame information, and Bayer pictures of a simple scene
+// whose brightness follows shutter and gain. Adapters carry its registers and its stream over USB
+// or in process. Time is the clock's. Thread-safe.
+class IidcDevice {
+ public:
+  enum class Answer { kOk, kStall, kNak, kGone };
+
+  explicit IidcDevice(const IidcDeviceOptions& options, const Clock& clock);
+
+  Answer Read(std::uint64_t address, std::span<std::uint32_t> quadlets);
+  Answer Write(std::uint64_t address, std::uint32_t value);
+
+  // Moves what is ready into `buffer`. `ended`: a short (or empty) packet ended the transfer, or
+  // the buffer is full.
+  struct Moved {
+    Answer answer = Answer::kNak;  // kNak: nothing yet
+    std::size_t bytes = 0;
+    bool ended = false;
+  };
+  Moved ReadStream(std::span<std::byte> buffer);
+
+  // Faults; the counts are of the next pictures or requests.
+  struct Faults {
+    int lose_frames = 0;   // taken and counted, never sent
+    int short_frames = 0;  // ends early, with a short packet, after short_bytes
+    std::size_t short_bytes = 700;
+    int wrong_exposures = 0;  // taken and labelled with twice the shutter
+    int late_frames = 0;      // sent late_s later
+    double late_s = 0.0;
+    int stall_registers = 0;
+    int stall_after = -1;  // refuses one request, after this many have been answered
+    int nak_registers = 0;
+    int stall_stream = 0;
+    int damaged_headers = 0;  // of compressed frames
+    int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
+  };
+  void Set(const Faults& faults);
+  void Unplug();
+  // Comes back as after power-up.
+  void PlugIn();
+  bool plugged_in() const;
+
+  // Value of a scene point before the shutter: code value at one second and 0 dB.
+  double RadianceAt(int x, int y) const;
+  std::uint8_t PixelAt(int x, int y, double exposure_s, double gain_db) const;
+  const IidcDeviceOptions& options() const { return options_; }
+  std::uint32_t Register(std::uint32_t offset) const;  // as it is, by offset from the command base
+  int triggers_refused() const;                        // while the sensor was busy
+  bool stall_pending() const;                          // Faults::stall_after has not come yet
+
+  // Shutter and gain as the value registers hold them.
+  static double ShutterSeconds(std::uint32_t raw);
+  static std::uint32_t ShutterRaw(double seconds);
+  static double GainDecibels(std::uint32_t raw);
+  static std::uint32_t GainRaw(double decibels);
+
+  static constexpr std::uint64_t kBase = 0xFFFF'F0F0'0000;
+
+ private:
+  struct Sending {
+    std::vector<std::byte> bytes;
+    std::size_t sent = 0;
+    HostTime ready;
+  };
+  struct Setting {
+    std::uint32_t shutter = 0;
+    std::uint32_t gain = 0;
+  };
+
+  // All with mutex_.
+  void PowerUp();
+  void ResetFeatures();
+  std::uint8_t Value(int x, int y, double exposure) const;
+  std::optional<Answer> Refuses();
+  std::optional<std::uint32_t> ReadOne(std::uint64_t address) const;
+  bool WriteOne(std::uint64_t address, std::uint32_t value);
+  void WriteFeature(std::uint32_t offset, std::uint32_t value);
+  void Trigger();
+  std::uint32_t ShutterWord(std::uint32_t raw) const;
+  std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
+  std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected
+  std::vector<std::byte> Compressed(double seconds, double decibels,
+                                    std::span<const std::uint32_t> words);
+  void UpdateTotals();
+
+  const IidcDeviceOptions options_;
+  const Clock& clock_;
+  mutable std::mutex mutex_;
+  std::vector<std::uint32_t> rom_;
+  std::map<std::uint32_t, std::uint32_t> registers_;                         // by offset from kBase
+  std::map<std::uint32_t, std::map<std::uint32_t, std::uint32_t>> format7_;  // by mode
+  std::deque<Setting> settings_;  // the newest at the back
+  std::deque<Sending> sending_;
+  Faults faults_;
+  bool plugged_in_ = true;
+  HostTime power_up_;
+  HostTime busy_until_;
+  std::uint32_t counter_ = 0;
+  int triggers_refused_ = 0;
+};
+
+}  // namespace omnihdr::emulators
