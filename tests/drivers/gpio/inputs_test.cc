@@ -40,7 +40,7 @@ struct Bench {
     return event.value_or(TriggerEvent{});
   }
   FakeChip chip;
-  const SystemClock clock;
+  const SystemClock clock{};
   gpio::Inputs inputs;
 };
 

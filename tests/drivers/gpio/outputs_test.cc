@@ -41,7 +41,7 @@ struct Bench {
     return !values.empty() && values.back();
   }
   FakeChip chip;
-  const SystemClock clock;
+  const SystemClock clock{};
   std::unique_ptr<gpio::Outputs> outputs;
 };
 

@@ -69,7 +69,7 @@ class ModbusServer : public ::testing::Test {
     }));
   }
 
-  const SystemClock clock;
+  const SystemClock clock{};
   std::mutex mutex;
   std::vector<ApplianceCommand> commands;
   Status answer;

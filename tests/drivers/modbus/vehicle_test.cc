@@ -42,7 +42,7 @@ class ModbusVehicle : public ::testing::Test {
       return reading && std::abs(*reading - metres) < 1e-6;
     });
   }
-  const SystemClock clock;
+  const SystemClock clock{};
   Slave slave;
 };
 

@@ -191,7 +191,7 @@ class GpioChip : public ::testing::Test {
  protected:
   EmulatedChip chip;
   const std::unique_ptr<Lines> lines = MakeLines();
-  const SystemClock clock;
+  const SystemClock clock{};
 };
 
 TEST_F(GpioChip, ALineIsFoundByLabelOrNameOrPathAndByItsNameOrOffset) {
