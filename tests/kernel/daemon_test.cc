@@ -31,6 +31,7 @@ using ::testing::HasSubstr;
 constexpr int kTrigger = 0;
 constexpr int kReady = 1;
 constexpr int kFault = 2;
+constexpr int kWheel = 3;
 constexpr int kModbusPort = 1502;
 
 // Registers of drivers/modbus/README.md.
@@ -39,12 +40,14 @@ constexpr std::size_t kState = 1;
 constexpr std::size_t kTriggers = 4;
 constexpr std::size_t kRecorded = 6;
 constexpr std::size_t kLost = 8;
+constexpr std::size_t kOdometerMm = 16;
 constexpr std::uint16_t kWaitingForCamera = 1;
 constexpr std::uint16_t kArmed = 3;
 
 class Appliance : public ::testing::Test {
  protected:
-  void Start(const std::string& exposures) {
+  // With the exposures of a bracket and what triggers.
+  void Launch(const std::string& exposures, const std::string& trigger) {
     const emulators::IidcDeviceOptions& device = device_->options();
     std::ofstream(path("head.toml"))
         << emulators::EmulatedRig(6, device.max_width, device.rows_per_sensor, device.bayer);
@@ -52,20 +55,30 @@ class Appliance : public ::testing::Test {
         "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
         "[camera]\ndriver = \"iidc\"\nreconnect_s = 0.2\nframe_timeout_s = 20.0\n"
         "[camera.iidc]\nrig = \"head.toml\"\n[bracket]\nexposures_s = {}\n"
-        "[trigger]\nsource = \"gpio\"\narmed_at_start = true\n"
-        "[gpio.trigger]\nchip = \"{}\"\nline = \"trigger-in\"\n"
+        "[trigger]\narmed_at_start = true\n{}\n"
         "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n"
         "[modbus.server]\nconnection = \"tcp\"\nport = {}\n[pipeline]\nenabled = false\n",
-        exposures, chip_.label(), chip_.label(), kModbusPort);
+        exposures, trigger, chip_.label(), kModbusPort);
     daemon_ = std::make_unique<Program>(
         "omnihdrd", std::vector<std::string>{"--config", path("c.toml").string()}, path("log"));
+  }
+  // Triggered by the edges of a line, and ready.
+  void Start(const std::string& exposures) {
+    Launch(exposures, TriggerLine());
     ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
-    ASSERT_TRUE(StatusHolds([](const auto& s) {
+    ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
+  }
+  std::string TriggerLine() const {
+    return fmt::format("source = \"gpio\"\n[gpio.trigger]\nchip = \"{}\"\nline = \"trigger-in\"",
+                       chip_.label());
+  }
+  bool LinksAreUp() const {
+    return StatusHolds([](const auto& s) {
       for (const auto& link : s["links"]) {
         if (!link["up"].template get<bool>()) return false;
       }
       return s["links"].size() >= 2;
-    })) << daemon_->Log();
+    });
   }
   void Stop() {
     daemon_->Signal(SIGTERM);
@@ -132,7 +145,7 @@ class Appliance : public ::testing::Test {
 
   const SystemClock clock_;
   testing::TemporaryDirectory directory_;
-  kernel::SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out"}};
+  kernel::SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out", "wheel-in"}};
   std::shared_ptr<emulators::IidcDevice> device_ =
       std::make_shared<emulators::IidcDevice>(emulators::IidcDeviceOptions{}, clock_);
   emulators::VhciUsb plug_{device_};
@@ -237,6 +250,53 @@ TEST_F(Appliance, EdgesFasterThanTheCameraAreAllInTheJournal) {
   EXPECT_TRUE(Eventually([&] { return Long(ReadModbus(), kLost) == lost; }));
   EXPECT_EQ(Long(ReadModbus(), kRecorded), taken);
   EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault); }));
+  Stop();
+}
+
+TEST_F(Appliance, ACameraAndAChipThatComeAfterItAreFound) {
+  plug_.Unplug();
+  chip_.Remove();
+  Launch("[0.001, 0.004, 0.016]", TriggerLine());
+  ASSERT_TRUE(Becomes("waiting-for-camera")) << daemon_->Log();
+  plug_.PlugIn();
+  chip_.Return();
+  ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
+  ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
+  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kReady); }));
+  ASSERT_TRUE(Shoot());
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 1U);
+  ExpectFrame(journal[0], 0.001);
+  Stop();
+}
+
+TEST_F(Appliance, PulsesOfAWheelAreWayAndMarksOnItAreFrames) {
+  Launch("[0.001, 0.004, 0.016]",
+         fmt::format("source = \"distance\"\nodometer = \"wheel\"\ndistance_m = 0.0625\n"
+                     "[gpio.wheel]\nchip = \"{}\"\nline = \"wheel-in\"\nedge = \"both\"\n"
+                     "pulses_per_metre = 64.0",
+                     chip_.label()));
+  ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
+  ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
+  edges_ = 1;  // where it stands
+  ASSERT_TRUE(Answered()) << daemon_->Log();
+  // Numbers that are exact, so that a mark is passed with a pulse and not with the next one.
+  for (int pulse = 1; pulse <= 24; ++pulse) {
+    chip_.Pull(kWheel, pulse % 2 == 1);
+    if (pulse % 4 == 0) ++edges_;
+    ASSERT_TRUE(StatusHolds([&](const auto& s) { return s["odometer_m"] == pulse / 64.0; }))
+        << "pulse " << pulse;
+    ASSERT_TRUE(Answered()) << "pulse " << pulse << "\n" << daemon_->Log();
+  }
+  EXPECT_TRUE(Eventually([] { return Long(ReadModbus(), kOdometerMm) == 375; }));
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 7U);
+  const double ladder[] = {0.001, 0.004, 0.016};
+  for (std::size_t i = 0; i < journal.size(); ++i) {
+    ExpectFrame(journal[i], ladder[i % 3]);
+    ASSERT_TRUE(journal[i].odometer_m);
+    EXPECT_EQ(*journal[i].odometer_m, 0.0625 * static_cast<double>(i));
+  }
   Stop();
 }
 
