@@ -120,6 +120,11 @@ GainDb ExposureControl::most_gain() const {
   return GainDb{20.0 * std::log10(static_cast<double>(gain_->maximum) / gain_options_.unity)};
 }
 
+bool ExposureControl::AllowsGain(GainDb gain) const {
+  constexpr double kGrace = 0.01;
+  return gain.value >= least_gain().value - kGrace && gain.value <= most_gain().value + kGrace;
+}
+
 // VBLANK alone and first: the exposure's range follows from it.
 Status ExposureControl::MakeRoom(std::int64_t lines) {
   if (!vblank_) return {};
@@ -134,7 +139,6 @@ Status ExposureControl::MakeRoom(std::int64_t lines) {
 }
 
 Result<SetExposure> ExposureControl::Set(const Exposure& exposure) {
-  const double gain_db = exposure.gain.value;
   // Half a step of grace: what was read back may be asked for again.
   const double grace = 0.5 * quantum_s();
   if (!exposure.IsValid() || exposure.time.seconds() < shortest_s_ - grace ||
@@ -142,8 +146,8 @@ Result<SetExposure> ExposureControl::Set(const Exposure& exposure) {
     return Fail(ErrorKind::kUsage, "exposure {} s: expected {} to {} s", exposure.time.seconds(),
                 shortest_s_, longest_s_);
   }
-  if (gain_db < least_gain().value - 0.01 || gain_db > most_gain().value + 0.01) {
-    return Fail(ErrorKind::kUsage, "gain {} dB: expected {} to {} dB{}", gain_db,
+  if (!AllowsGain(exposure.gain)) {
+    return Fail(ErrorKind::kUsage, "gain {} dB: expected {} to {} dB{}", exposure.gain.value,
                 least_gain().value, most_gain().value,
                 has_gain() ? "" : " (camera.v4l2.gain_unity is not set)");
   }

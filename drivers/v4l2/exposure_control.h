@@ -45,6 +45,7 @@ class ExposureControl {
   // Of the gains that can be asked for; both 0 when there is none.
   GainDb least_gain() const;
   GainDb most_gain() const;
+  bool AllowsGain(GainDb gain) const;
   // Sets exposure and gain together and reads them back. kUsage when out of range.
   Result<SetExposure> Set(const Exposure& exposure);
 
