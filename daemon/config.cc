@@ -136,6 +136,19 @@ class Loader {
       Problem(line_of("camera.driver"), "camera.iidc.rig",
               "\"\", expected the rig file of the camera's head with camera.driver = \"iidc\"");
     }
+    if (config.camera.driver == CameraDriver::kV4l2) {
+      const v4l2::V4l2CameraOptions& camera = config.camera.v4l2;
+      if (camera.layout == Layout::kRig && camera.rig_file.empty()) {
+        Problem(
+            line_of("camera.driver"), "camera.v4l2.rig",
+            "\"\", expected the rig file of the camera's head with camera.v4l2.layout = \"rig\"");
+      }
+      if ((camera.width == 0) != (camera.height == 0)) {
+        Problem(line_of("camera.v4l2.width"), "camera.v4l2.width",
+                fmt::format("{}, expected it and camera.v4l2.height, now {}, both 0 or neither",
+                            camera.width, camera.height));
+      }
+    }
     if (config.trigger.source == TriggerKind::kReplay &&
         config.camera.driver != CameraDriver::kReplay) {
       Problem(line_of("trigger.source"), "trigger.source",
@@ -266,6 +279,8 @@ std::string_view ToString(CameraDriver value) {
       return "replay";
     case CameraDriver::kIidc:
       return "iidc";
+    case CameraDriver::kV4l2:
+      return "v4l2";
   }
   return "?";
 }

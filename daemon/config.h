@@ -17,6 +17,7 @@
 #include "drivers/gpio/outputs.h"
 #include "drivers/modbus/server.h"
 #include "drivers/modbus/vehicle.h"
+#include "drivers/v4l2/camera_setup.h"
 
 namespace omnihdr {
 
@@ -28,7 +29,7 @@ namespace omnihdr {
 inline constexpr std::string_view kDefaultConfigFile = "/etc/omnihdr/omnihdr.toml";
 
 enum class OnExistingSession { kResume, kRefuse };
-enum class CameraDriver { kSim, kReplay, kIidc };
+enum class CameraDriver { kSim, kReplay, kIidc, kV4l2 };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
 enum class IidcFormat { kRaw, kJpeg };
@@ -109,6 +110,7 @@ struct CameraConfig {
   SimCameraConfig sim;
   ReplayCameraConfig replay;
   IidcCameraConfig iidc;
+  v4l2::V4l2CameraOptions v4l2;  // frame_timeout_s: as above
 };
 
 // [bracket]: exposures either listed (exposures_s) or as start_s · 2^(i·step_stops), i < count. The

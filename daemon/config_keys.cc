@@ -57,6 +57,22 @@ ConfigKey CameraId() {
           [](const DaemonConfig& config) { return TomlText(config.camera.iidc.id); }};
 }
 
+// A colour temperature.
+ConfigKey WhiteBalanceKelvin() {
+  return {"camera.v4l2.white_balance", "kelvin in [1000, 20000], or 0 for the camera's own",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            if (value.type != TomlValue::Type::kInteger ||
+                (value.integer != 0 && (value.integer < 1000 || value.integer > 20000))) {
+              return false;
+            }
+            config.camera.v4l2.white_balance = static_cast<int>(value.integer);
+            return true;
+          },
+          [](const DaemonConfig& config) {
+            return fmt::format("{}", config.camera.v4l2.white_balance);
+          }};
+}
+
 ConfigKey TriggerMode() {
   return {"camera.iidc.trigger_mode", "0, 14 or 15",
           [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
@@ -188,7 +204,8 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(session.on_existing)));
 
   add(Choice("camera.driver",
-             std::vector{CameraDriver::kSim, CameraDriver::kReplay, CameraDriver::kIidc},
+             std::vector{CameraDriver::kSim, CameraDriver::kReplay, CameraDriver::kIidc,
+                         CameraDriver::kV4l2},
              OMNIHDR_MEMBER(camera.driver)));
   add(Number("camera.frame_timeout_s", "seconds", 0.01, 600,
              OMNIHDR_MEMBER(camera.frame_timeout_s)));
@@ -256,6 +273,32 @@ std::vector<ConfigKey> MakeKeys() {
             OMNIHDR_MEMBER(camera.iidc.white_balance_red)));
   add(Path("camera.iidc.usb_recording", "a file or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.iidc.usb_recording)));
+
+  add(Text("camera.v4l2.device", "a path, a name or a serial number", 256,
+           OMNIHDR_MEMBER(camera.v4l2.device)));
+  add(Text("camera.v4l2.controls", "a path", 256, OMNIHDR_MEMBER(camera.v4l2.controls_device)));
+  add(Choice("camera.v4l2.layout",
+             std::vector{Layout::kRig, Layout::kPanorama, Layout::kPerspective},
+             OMNIHDR_MEMBER(camera.v4l2.layout)));
+  add(Path("camera.v4l2.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.v4l2.rig_file)));
+  add(Choice("camera.v4l2.format",
+             std::vector{v4l2::Coding::kAuto, v4l2::Coding::kGrey, v4l2::Coding::kY10,
+                         v4l2::Coding::kY12, v4l2::Coding::kY16, v4l2::Coding::kBayer8,
+                         v4l2::Coding::kBayer10, v4l2::Coding::kBayer12, v4l2::Coding::kBayer16,
+                         v4l2::Coding::kYuyv, v4l2::Coding::kMjpeg},
+             OMNIHDR_MEMBER(camera.v4l2.coding)));
+  add(Whole("camera.v4l2.width", "pixels", 0, 65536, OMNIHDR_MEMBER(camera.v4l2.width)));
+  add(Whole("camera.v4l2.height", "pixels", 0, 65536, OMNIHDR_MEMBER(camera.v4l2.height)));
+  add(NumberOrZero("camera.v4l2.frame_rate", "frames per second", "for the camera's own", 0.1, 1000,
+                   OMNIHDR_MEMBER(camera.v4l2.frame_rate)));
+  add(Whole("camera.v4l2.latency_frames", "a whole number", 0, 16,
+            OMNIHDR_MEMBER(camera.v4l2.latency_frames)));
+  add(Whole("camera.v4l2.gain", "a control value", -1, 1'000'000,
+            OMNIHDR_MEMBER(camera.v4l2.gain)));
+  add(Whole("camera.v4l2.gain_unity", "a control value", 0, 1'000'000,
+            OMNIHDR_MEMBER(camera.v4l2.gain_unity)));
+  add(WhiteBalanceKelvin());
 
   add(Choice("bracket.order",
              std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},

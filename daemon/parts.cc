@@ -60,6 +60,11 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
     return replay;
   }
   if (config.camera.driver == CameraDriver::kIidc) return MakeIidcOptions(config.camera);
+  if (config.camera.driver == CameraDriver::kV4l2) {
+    v4l2::V4l2CameraOptions v4l2 = config.camera.v4l2;
+    v4l2.frame_timeout_s = config.camera.frame_timeout_s;
+    return v4l2;
+  }
   const SimCameraConfig& from = config.camera.sim;
   sim::SimCameraOptions options;
   options.simulation.scene = Scene(from.scene);

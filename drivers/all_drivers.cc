@@ -12,6 +12,7 @@ const std::vector<CameraDriverEntry>& CameraDrivers() {
       {"sim", "a simulated camera in a rendered HDR world"},
       {"replay", "a recorded session as a camera"},
       {"iidc", "an IIDC camera on USB (Point Grey, FLIR)"},
+      {"v4l2", "a camera of the kernel's (UVC, raw sensors)"},
   };
   return drivers;
 }
@@ -20,6 +21,7 @@ Result<CameraOptions> DefaultCameraOptions(std::string_view driver) {
   if (driver == "sim") return CameraOptions(sim::SimCameraOptions{});
   if (driver == "replay") return CameraOptions(ReplayOptions{});
   if (driver == "iidc") return CameraOptions(iidc::IidcCameraOptions{});
+  if (driver == "v4l2") return CameraOptions(v4l2::V4l2CameraOptions{});
   std::string known;
   for (const CameraDriverEntry& each : CameraDrivers()) {
     known += fmt::format("{}{}", known.empty() ? "" : ", ", each.name);
@@ -35,6 +37,10 @@ Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
   if (const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
     OMNIHDR_TRY(iidc_options->Validate().Context("camera iidc"));
     return iidc::MakeUsbIidcCamera(*iidc_options);
+  }
+  if (const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options)) {
+    OMNIHDR_TRY(v4l2_options->Validate().Context("camera v4l2"));
+    return v4l2::MakeKernelV4l2Camera(*v4l2_options);
   }
   const auto& replay_options = std::get<ReplayOptions>(options);
   OMNIHDR_TRY(replay_options.Validate().Context("camera replay"));

@@ -10,11 +10,13 @@
 #include "drivers/iidc/iidc_camera.h"
 #include "drivers/replay/replay.h"
 #include "drivers/sim/sim_camera.h"
+#include "drivers/v4l2/v4l2_camera.h"
 
 namespace omnihdr {
 
 // The options of any camera driver; which alternative it is decides which driver is made.
-using CameraOptions = std::variant<sim::SimCameraOptions, ReplayOptions, iidc::IidcCameraOptions>;
+using CameraOptions = std::variant<sim::SimCameraOptions, ReplayOptions, iidc::IidcCameraOptions,
+                                   v4l2::V4l2CameraOptions>;
 
 struct CameraDriverEntry {
   std::string_view name;     // as in configuration files

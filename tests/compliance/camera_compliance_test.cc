@@ -16,6 +16,7 @@
 #include "tests/compliance/camera_suite.h"
 #include "tests/emulators/iidc_link.h"
 #include "tests/emulators/umockdev_usb.h"
+#include "tests/emulators/v4l2_camera_model.h"
 #include "tests/support/temporary_directory.h"
 
 namespace omnihdr::compliance::camera_compliance_test {
@@ -145,6 +146,43 @@ Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureForma
     rig.plug_in = [emulated] { emulated->device->PlugIn(); };
   }
   for (const double t : {0.0001, 0.001, 0.004, 0.016, 0.05}) {
+    rig.ladder.push_back(ExposureTime::Seconds(t));
+  }
+  return rig;
+}
+
+// An emulated camera below the kernel's ioctls: of class UVC, or a raw sensor.
+struct EmulatedV4l2Camera {
+  EmulatedV4l2Camera(const emulators::V4l2ModelOptions& options, BayerOrder bayer)
+      : model(std::make_shared<emulators::V4l2CameraModel>(options, clock)) {
+    std::ofstream(rig()) << emulators::EmulatedRig(1, options.width, options.height, bayer);
+  }
+  std::filesystem::path rig() const { return folder.path() / "head.toml"; }
+
+  const SystemClock clock;
+  const testing::TemporaryDirectory folder;
+  std::shared_ptr<emulators::V4l2CameraModel> model;
+};
+
+Rig MakeV4l2Rig(bool raw_sensor) {
+  emulators::V4l2ModelOptions model;
+  model.in_lines = raw_sensor;
+  if (raw_sensor) {
+    model.driver = "imx999";
+    model.formats = {V4L2_PIX_FMT_SBGGR12};
+  }
+  auto emulated = std::make_shared<EmulatedV4l2Camera>(
+      model, raw_sensor ? BayerOrder::kBggr : BayerOrder::kNone);
+  v4l2::V4l2CameraOptions options;
+  options.rig_file = emulated->rig();
+  if (!raw_sensor) options.coding = v4l2::Coding::kGrey;
+  Rig rig;
+  rig.surroundings = emulated;
+  rig.camera =
+      std::make_unique<v4l2::V4l2Camera>(options, emulators::MakeEmulatedV4l2({emulated->model}));
+  rig.unplug = [emulated] { emulated->model->Unplug(); };
+  rig.plug_in = [emulated] { emulated->model->PlugIn(); };
+  for (const double t : {0.0002, 0.0005, 0.001, 0.002, 0.0039}) {
     rig.ladder.push_back(ExposureTime::Seconds(t));
   }
   return rig;
@@ -412,7 +450,9 @@ std::vector<RigFactory> AllRigs() {
       {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
       {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
       {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
-      {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }}};
+      {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }},
+      {"v4l2", [] { return MakeV4l2Rig(false); }},
+      {"v4l2_raw_sensor", [] { return MakeV4l2Rig(true); }}};
 }
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {

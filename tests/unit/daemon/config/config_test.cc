@@ -377,6 +377,13 @@ TEST(Config, KeysThatNeedEachOtherAreCheckedTogether) {
               HasSubstr("dir/test.toml:1: camera.replay.session: \"\", expected a session"));
   EXPECT_THAT(OnlyProblem("camera.driver = 'iidc'\n"),
               HasSubstr("dir/test.toml:1: camera.iidc.rig: \"\", expected the rig file"));
+  EXPECT_THAT(OnlyProblem("camera.driver = 'v4l2'\n"),
+              HasSubstr("dir/test.toml:1: camera.v4l2.rig: \"\", expected the rig file"));
+  EXPECT_THAT(
+      OnlyProblem("camera.driver = 'v4l2'\n[camera.v4l2]\nlayout = 'panorama'\nwidth = 64\n"),
+      HasSubstr("dir/test.toml:4: camera.v4l2.width: 64, expected it and camera.v4l2.height"));
+  EXPECT_THAT(OnlyProblem("camera.v4l2.white_balance = 20\n"),
+              HasSubstr("kelvin in [1000, 20000]"));
   EXPECT_THAT(OnlyProblem("trigger.source = 'replay'\n"), HasSubstr("trigger.source: \"replay\""));
   EXPECT_THAT(OnlyProblem("bracket.order = 'list'\nbracket.start_s = 0.01\n"),
               HasSubstr("bracket.order: \"list\", expected"));

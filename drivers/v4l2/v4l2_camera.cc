@@ -1,0 +1,407 @@
+#include "drivers/v4l2/v4l2_camera.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+
+#include "drivers/v4l2/kernel_device.h"
+
+namespace omnihdr::v4l2 {
+namespace {
+
+using std::chrono::milliseconds;
+
+constexpr std::size_t kMaxWaiting = 4;
+constexpr int kMaxFailures = 3;
+constexpr int kMaxContradictions = 2;
+constexpr int kMaxDrained = 64;
+constexpr Nanoseconds kSlice = milliseconds(20);
+
+Nanoseconds FromSeconds(double seconds) {
+  return Nanoseconds(static_cast<std::int64_t>(std::llround(seconds * 1e9)));
+}
+
+}  // namespace
+
+V4l2Camera::V4l2Camera(V4l2CameraOptions options, std::unique_ptr<V4l2System> system)
+    : options_(std::move(options)), system_(std::move(system)) {}
+
+V4l2Camera::~V4l2Camera() { Close(); }
+
+Result<CameraInfo> V4l2Camera::Open() {
+  {
+    std::lock_guard lock(mutex_);
+    if (open_ && away_.empty()) return info_;
+  }
+  Close();
+  Result<std::unique_ptr<ReadyCamera>> ready =
+      OpenAndSetUp(*system_, options_, clock_).Context("V4L2 camera");
+  if (!ready) return Forward(std::move(ready).error());
+  camera_ = std::move(*ready);
+  counter_ = 0;
+  contradictions_ = 0;
+  failures_ = 0;
+  std::lock_guard lock(mutex_);
+  info_ = camera_->info;
+  open_ = true;
+  away_.clear();
+  return info_;
+}
+
+void V4l2Camera::Close() {
+  Stop();
+  std::lock_guard lock(mutex_);
+  open_ = false;
+  camera_.reset();
+}
+
+void V4l2Camera::ForgetStream() {
+  log_.Reset(camera_->latency_frames);
+  set_.reset();
+  last_sequence_.reset();
+  last_stamp_.reset();
+  reference_.reset();
+  lost_since_ = 0;
+}
+
+Status V4l2Camera::Start() {
+  {
+    std::lock_guard lock(mutex_);
+    if (!open_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: start: not open");
+    if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: start: {}", away_);
+    if (running_) return {};
+  }
+  OMNIHDR_TRY(camera_->stream->Start(camera_->frame).Context("V4L2 camera: start"));
+  ForgetStream();
+  std::lock_guard lock(mutex_);
+  running_ = true;
+  request_.reset();
+  worker_ = std::make_unique<Stage>(
+      "v4l2-camera", [this](std::stop_token stop, Stage& stage) { return Run(stop, stage); });
+  return {};
+}
+
+void V4l2Camera::Stop() {
+  std::unique_ptr<Stage> worker;
+  {
+    std::lock_guard lock(mutex_);
+    running_ = false;
+    worker = std::move(worker_);
+  }
+  if (worker) {
+    worker->RequestStop();
+    // It ends with an error only when an exception escaped it, and the camera stops either way.
+    static_cast<void>(worker->Join());
+    camera_->stream->Stop();
+  }
+  std::lock_guard lock(mutex_);
+  request_.reset();
+  busy_ = false;
+  frames_.clear();
+  changed_.notify_all();
+}
+
+void V4l2Camera::GoAway(std::string reason) {
+  away_ = std::move(reason);
+  request_.reset();
+  busy_ = false;
+  frames_.clear();
+  changed_.notify_all();
+}
+
+Status V4l2Camera::Trigger(const ExposureRequest& request) {
+  std::lock_guard lock(mutex_);
+  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: {}", away_);
+  if (!running_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: trigger: not started");
+  if (!request.exposure.IsValid() || request.exposure.time < info_.shortest ||
+      request.exposure.time > info_.longest) {
+    return Fail(ErrorKind::kUsage, "V4L2 camera: exposure {} s: expected {} to {} s",
+                request.exposure.time.seconds(), info_.shortest.seconds(), info_.longest.seconds());
+  }
+  const ExposureControl& control = *camera_->exposure;
+  if (!control.AllowsGain(request.exposure.gain)) {
+    return Fail(ErrorKind::kUsage, "V4L2 camera: gain {} dB: expected {} to {} dB{}",
+                request.exposure.gain.value, control.least_gain().value, control.most_gain().value,
+                control.has_gain() ? "" : " (camera.v4l2.gain_unity is not set)");
+  }
+  if (request_ || busy_) {
+    return Fail(ErrorKind::kTemporary, "V4L2 camera: busy with the picture before");
+  }
+  if (frames_.size() >= kMaxWaiting) {
+    return Fail(ErrorKind::kTemporary, "V4L2 camera: busy: {} pictures wait to be received",
+                kMaxWaiting);
+  }
+  request_ = request;
+  return {};
+}
+
+Result<CameraFrame> V4l2Camera::Receive(Nanoseconds timeout) {
+  std::unique_lock lock(mutex_);
+  changed_.wait_for(lock, timeout,
+                    [this] { return !running_ || !away_.empty() || !frames_.empty(); });
+  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: {}", away_);
+  if (!running_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: receive: not started");
+  if (frames_.empty()) {
+    return Fail(ErrorKind::kTemporary, "V4L2 camera: no picture within {} ms",
+                timeout.count() / 1'000'000);
+  }
+  CameraFrame frame = std::move(frames_.front());
+  frames_.pop_front();
+  return frame;
+}
+
+V4l2Camera::Counts V4l2Camera::counts() const {
+  std::lock_guard lock(mutex_);
+  return counts_;
+}
+
+Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
+  while (!stop.stop_requested()) {
+    stage.Progress();
+    std::optional<ExposureRequest> request;
+    {
+      std::lock_guard lock(mutex_);
+      if (!away_.empty()) return {};
+      request = std::exchange(request_, std::nullopt);
+      busy_ = request.has_value();
+    }
+    if (!request) {
+      if (Status idle = Idle(); !idle) {
+        std::lock_guard lock(mutex_);
+        GoAway(idle.error().message);
+        return {};
+      }
+      continue;
+    }
+    Result<std::optional<CameraFrame>> taken = TakePicture(*request, stop);
+    if (stop.stop_requested()) return {};
+    Status after;
+    {
+      std::lock_guard lock(mutex_);
+      if (taken && *taken) {
+        failures_ = 0;
+        frames_.push_back(std::move(**taken));
+        changed_.notify_all();
+      } else if (taken) {
+        ++counts_.lost_triggers;
+        ++counter_;
+      } else if (taken.error().kind == ErrorKind::kUnavailable || failures_ + 1 >= kMaxFailures) {
+        GoAway(taken.error().message);
+        return {};
+      } else {
+        CameraFrame frame;
+        frame.trigger = request->trigger;
+        frame.status = FrameStatus::kMissedTrigger;
+        frame.detail = taken.error().message;
+        frame.camera_counter = counter_;
+        frame.mid_exposure = request->trigger_time;
+        frames_.push_back(std::move(frame));
+        changed_.notify_all();
+      }
+    }
+    if (!taken) {
+      ++failures_;
+    } else if (!*taken) {
+      // No frames: the stream is begun anew, as a last attempt before the camera counts as gone.
+      after = ++failures_ >= kMaxFailures
+                  ? Status(Fail(ErrorKind::kUnavailable, "no frames for {} triggers", failures_))
+                  : RestartStream();
+    } else if (contradictions_ >= kMaxContradictions) {
+      after = MeasureAnew();
+    }
+    std::lock_guard lock(mutex_);
+    if (!after) {
+      GoAway(after.error().message);
+      return {};
+    }
+    busy_ = false;
+  }
+  return {};
+}
+
+// Nobody waits for anything: frames come and go, and a lost camera shows.
+Status V4l2Camera::Idle() {
+  OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(kSlice));
+  if (filled) OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+  return {};
+}
+
+Result<std::optional<Filled>> V4l2Camera::NextFrame(Nanoseconds timeout) {
+  Result<std::optional<Filled>> next = camera_->stream->Next(timeout);
+  if (!next || !*next) return next;
+  const Filled& filled = **next;
+  const std::int32_t since =
+      last_sequence_ ? SequenceDistance(*last_sequence_, filled.sequence) : 1;
+  if (since <= 0 ||
+      (last_stamp_ && filled.kind != StampKind::kNone && filled.stamp < *last_stamp_)) {
+    {
+      std::lock_guard lock(mutex_);
+      ++counts_.stale;
+    }
+    OMNIHDR_TRY(camera_->stream->Recycle(filled));
+    return std::optional<Filled>();
+  }
+  last_sequence_ = filled.sequence;
+  if (filled.kind != StampKind::kNone) last_stamp_ = filled.stamp;
+  const auto lost = static_cast<std::uint64_t>(since - 1);
+  lost_since_ += lost;
+  std::lock_guard lock(mutex_);
+  counts_.lost_frames += lost;
+  if (filled.damaged) ++counts_.damaged;
+  return next;
+}
+
+Status V4l2Camera::Drain() {
+  for (int i = 0; i < kMaxDrained; ++i) {
+    OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(Nanoseconds(0)));
+    if (!filled) return {};
+    OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+  }
+  return {};
+}
+
+// Written right after a frame has come, as when the latency was measured; false when none comes.
+Result<bool> V4l2Camera::SetExposureNow(const Exposure& exposure, std::stop_token stop) {
+  const HostTime deadline = clock_.Now() + LongestWait(*camera_, options_);
+  bool in_step = false;
+  while (!in_step && !stop.stop_requested() && clock_.Now() < deadline) {
+    OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(kSlice));
+    if (!filled) continue;
+    in_step = true;
+    const std::optional<SetExposure> had = log_.InForce(filled->sequence);
+    if (had && !filled->damaged) {
+      reference_.reset();
+      if (const auto level = MeasureLevel(filled->bytes, camera_->frame)) {
+        reference_ = Reference{*level, had->measured};
+      }
+    }
+    OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+  }
+  set_.reset();
+  if (!in_step) return false;
+  OMNIHDR_ASSIGN(const SetExposure set, camera_->exposure->Set(exposure));
+  // Frames that were completed meanwhile had the exposure before.
+  OMNIHDR_TRY(Drain());
+  log_.Wrote(*last_sequence_, set);
+  set_ = set;
+  if (set.clamped) {
+    std::lock_guard lock(mutex_);
+    ++counts_.clamped;
+  }
+  return true;
+}
+
+Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest& request,
+                                                           std::stop_token stop) {
+  if (!set_ || set_->asked != request.exposure) {
+    OMNIHDR_ASSIGN(const bool written,
+                   SetExposureNow(request.exposure, stop).Context("set the exposure"));
+    if (!written) return std::optional<CameraFrame>();
+  }
+  const Nanoseconds exposure = FromSeconds(set_->measured.time.seconds());
+  const HostTime deadline = clock_.Now() + LongestWait(*camera_, options_) +
+                            (camera_->latency_frames + 1) * std::max(camera_->interval, exposure);
+  while (!stop.stop_requested()) {
+    const Nanoseconds left = deadline - clock_.Now();
+    if (left <= Nanoseconds(0)) break;
+    OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(std::min(left, kSlice)));
+    if (!filled) continue;
+    const std::optional<SetExposure> in_force = log_.InForce(filled->sequence);
+    if (!in_force || in_force->asked != request.exposure ||
+        ExposureStart(*filled, in_force->measured) < request.trigger_time) {
+      OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+      continue;
+    }
+    CameraFrame frame = MakeFrame(request, *filled, *in_force);
+    OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+    return std::optional<CameraFrame>(std::move(frame));
+  }
+  return std::optional<CameraFrame>();
+}
+
+HostTime V4l2Camera::ExposureStart(const Filled& filled, const Exposure& exposure) const {
+  const Nanoseconds time = FromSeconds(exposure.time.seconds());
+  if (filled.kind == StampKind::kStart && !camera_->stamps_at_readout) return filled.stamp;
+  return filled.stamp - time;
+}
+
+CameraFrame V4l2Camera::MakeFrame(const ExposureRequest& request, const Filled& filled,
+                                  const SetExposure& exposure) {
+  CameraFrame frame;
+  frame.trigger = request.trigger;
+  counter_ += 1 + std::exchange(lost_since_, 0);
+  frame.camera_counter = counter_;
+  frame.measured_exposure = exposure.measured;
+  frame.proof = camera_->latency_measured ? ExposureProof::kLatency : ExposureProof::kReadback;
+  const Nanoseconds time = FromSeconds(exposure.measured.time.seconds());
+  frame.mid_exposure =
+      std::clamp(ExposureStart(filled, exposure.measured) + time / 2, request.trigger_time,
+                 std::max(request.trigger_time, filled.taken_out));
+  frame.settings_readback_json = fmt::format(
+      R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"exposure_raw":{},"gain_raw":{},"asked_s":{:.9g},)"
+      R"("clamped":{},"sequence":{},"latency_frames":{}}})",
+      exposure.measured.time.seconds(), exposure.measured.gain.value, exposure.exposure_raw,
+      exposure.gain_raw, exposure.asked.time.seconds(), exposure.clamped, filled.sequence,
+      log_.latency());
+  Result<Pixels> pixels = ReadPixels(filled.bytes, camera_->frame);
+  if (!pixels || filled.damaged) {
+    frame.status = FrameStatus::kCorrupt;
+    frame.detail = filled.damaged
+                       ? fmt::format("the driver calls buffer {} damaged", filled.sequence)
+                       : pixels.error().message;
+  } else {
+    HoldAgainstBrightness(filled, exposure, frame);
+  }
+  frame.pixels = pixels ? std::move(*pixels) : BlackPixels(camera_->frame);
+  return frame;
+}
+
+void V4l2Camera::HoldAgainstBrightness(const Filled& filled, const SetExposure& exposure,
+                                       CameraFrame& frame) {
+  const std::optional<Reference> before = std::exchange(reference_, std::nullopt);
+  if (!before) return;
+  const Result<Level> level = MeasureLevel(filled.bytes, camera_->frame);
+  if (!level) return;
+  const double stops =
+      std::log2(exposure.measured.EffectiveSeconds() / before->exposure.EffectiveSeconds());
+  const std::optional<bool> followed = BrightnessFollowed(before->level, *level, stops);
+  if (!followed) return;
+  if (*followed) {
+    contradictions_ = 0;
+    return;
+  }
+  ++contradictions_;
+  frame.proof = ExposureProof::kNone;
+  frame.measured_exposure.reset();
+  frame.detail =
+      fmt::format("brightness went from {:.3f} to {:.3f} of the range after a step of {:.1f} stops",
+                  before->level.mean, level->mean, stops);
+  std::lock_guard lock(mutex_);
+  ++counts_.contradictions;
+}
+
+Status V4l2Camera::MeasureAnew() {
+  contradictions_ = 0;
+  if (options_.latency_frames > 0) return {};
+  OMNIHDR_TRY(NoteLatency(*camera_, options_, clock_).Context("measure the latency anew"));
+  ForgetStream();
+  std::lock_guard lock(mutex_);
+  ++counts_.measurements;
+  return {};
+}
+
+Status V4l2Camera::RestartStream() {
+  camera_->stream->Stop();
+  OMNIHDR_TRY(camera_->stream->Start(camera_->frame).Context("begin the stream anew"));
+  ForgetStream();
+  return {};
+}
+
+std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options) {
+  return std::make_unique<V4l2Camera>(std::move(options), MakeKernelSystem());
+}
+
+}  // namespace omnihdr::v4l2

@@ -1,0 +1,104 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+
+#include "core/base/clock.h"
+#include "core/base/stage.h"
+#include "core/ports/camera.h"
+#include "drivers/v4l2/camera_setup.h"
+#include "drivers/v4l2/exposure_log.h"
+
+namespace omnihdr::v4l2 {
+
+// A camera over V4L2 (Camera's laws hold). It runs freely; a trigger sets exposure and gain right
+// after a frame, and takes the first frame that began after the trigger and for which that exposure
+// is certain to be in force. One picture is on its way at a time; a trigger before it has arrived
+// is refused as busy, as is one while four pictures wait to be received. The exposure of a frame is
+// what was read back, in force since as many frames as were measured (proof latency; readback when
+// the latency could not be measured). A picture whose brightness contradicts that has no proof; two
+// such in a row, and the latency is measured anew. The camera's counter goes up by one a picture
+// and by the frames lost between (gaps in the kernel's sequence).
+class V4l2Camera final : public Camera {
+ public:
+  V4l2Camera(V4l2CameraOptions options, std::unique_ptr<V4l2System> system);
+  ~V4l2Camera() override;
+
+  Result<CameraInfo> Open() override;
+  void Close() override;
+  Status Start() override;
+  void Stop() override;
+  Status Trigger(const ExposureRequest& request) override;
+  Result<CameraFrame> Receive(Nanoseconds timeout) override;
+
+  struct Counts {
+    std::uint64_t damaged = 0;         // frames with the driver's error flag
+    std::uint64_t stale = 0;           // older than one that had come before
+    std::uint64_t lost_frames = 0;     // gaps of the sequence
+    std::uint64_t lost_triggers = 0;   // whose picture never came
+    std::uint64_t clamped = 0;         // settings that the camera made something else of
+    std::uint64_t contradictions = 0;  // brightness did not follow the exposure
+    std::uint64_t measurements = 0;    // of the latency, after that of Open
+  };
+  Counts counts() const;
+
+ private:
+  struct Reference {
+    Level level;
+    Exposure exposure;
+  };
+
+  Status Run(std::stop_token stop, Stage& stage);
+  Status Idle();
+  Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
+                                                 std::stop_token stop);
+  Result<bool> SetExposureNow(const Exposure& exposure, std::stop_token stop);
+  Result<std::optional<Filled>> NextFrame(Nanoseconds timeout);
+  Status Drain();
+  HostTime ExposureStart(const Filled& filled, const Exposure& exposure) const;
+  CameraFrame MakeFrame(const ExposureRequest& request, const Filled& filled,
+                        const SetExposure& exposure);
+  void HoldAgainstBrightness(const Filled& filled, const SetExposure& exposure, CameraFrame& frame);
+  Status MeasureAnew();
+  Status RestartStream();
+  void ForgetStream();
+  void GoAway(std::string reason);  // with mutex_
+
+  const V4l2CameraOptions options_;
+  const std::unique_ptr<V4l2System> system_;
+  const SystemClock clock_;
+
+  // Of whoever runs Open, Start, Stop and Close, and of the worker in between.
+  std::unique_ptr<ReadyCamera> camera_;
+  ExposureLog log_;
+  std::optional<SetExposure> set_;
+  std::optional<std::uint32_t> last_sequence_;
+  std::optional<HostTime> last_stamp_;
+  std::optional<Reference> reference_;
+  std::uint64_t counter_ = 0;
+  std::uint64_t lost_since_ = 0;  // frames, since the last picture
+  int contradictions_ = 0;        // in a row
+  int failures_ = 0;
+
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  bool open_ = false;
+  bool running_ = false;
+  std::string away_;  // why the camera has gone; empty = it has not
+  CameraInfo info_;
+  std::optional<ExposureRequest> request_;
+  bool busy_ = false;
+  std::deque<CameraFrame> frames_;
+  Counts counts_;
+  std::unique_ptr<Stage> worker_;
+};
+
+// The cameras of this machine's kernel.
+std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options);
+
+}  // namespace omnihdr::v4l2
