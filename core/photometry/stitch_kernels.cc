@@ -84,7 +84,8 @@ HWY_INLINE Weights WeightsOf(VU packed) {
 
 // By the block's places, row by row: the interpolated value, and the largest byte of those taken.
 struct Planes {
-  HWY_ATTR Planes() {}  // one of the compiler's own would not be for the target
+  // One of the compiler's own would not be for the target.
+  HWY_ATTR Planes() {}  // NOLINT(modernize-use-equals-default)
   VF value[4];
   VU most[4];
 };

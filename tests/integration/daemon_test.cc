@@ -306,12 +306,12 @@ TEST_F(Daemon, AReplayGivesTheBytesOfTheBatchTool) {
 }
 
 TEST_F(Daemon, OverloadedItReducesViewsAndAnUpgradeGivesTheBytesOfTheBatchTool) {
-  constexpr int kPositions = 14;
+  constexpr int kPositions = 10;
   RecordSource(kPositions, true);
   // A replay comes as fast as the disk takes it: much faster than views are made.
   WriteConfig(ReplayCamera("replay"),
               "[pipeline]\noverload = \"degrade\"\nbacklog_limit = 2\n"
-              "[output]\nwidth = 1024\n");
+              "[output]\nwidth = 2560\n");
   const auto reference = ProcessedSource();
   ASSERT_EQ(reference.size(), FilesOfViews(kPositions));
   {
