@@ -14,6 +14,9 @@ namespace {
 
 // Marks beyond which an odometer that jumps is not followed one by one.
 constexpr std::int64_t kMostMarksAtOnce = 1024;
+// A mark k · d may be rounded up beyond the pulse that lies on it; it must not wait for the next
+// one.
+constexpr double kRoundingM = 1e-6;
 
 }  // namespace
 
@@ -81,7 +84,7 @@ Result<std::optional<TriggerEvent>> OdometerTrigger::Poll() {
     }
   }
   for (std::int64_t i = 0; i <= kMostMarksAtOnce + 1; ++i) {
-    std::optional<HostTime> passed = odometer_->TimeAt(NextMark());
+    std::optional<HostTime> passed = odometer_->TimeAt(NextMark() - kRoundingM);
     if (!passed || *passed > now) break;
     passed = std::max(*passed, *counting_since_);
     if (now - *passed > options_.max_late) {
@@ -109,7 +112,7 @@ Result<std::optional<TriggerEvent>> OdometerTrigger::Poll() {
 
 std::optional<HostTime> OdometerTrigger::NextDeadline() const {
   if (!fd_.valid() || !counting_since_) return std::nullopt;
-  const std::optional<HostTime> passed = odometer_->TimeAt(NextMark());
+  const std::optional<HostTime> passed = odometer_->TimeAt(NextMark() - kRoundingM);
   // What has been passed is told of by the descriptor or by the next mark.
   if (!passed || *passed <= clock_.Now()) return std::nullopt;
   return passed;

@@ -78,6 +78,21 @@ TEST(OdometerTrigger, EveryMarkThatIsPassedIsAnEventWithItsOwnTimeAndPlace) {
   EXPECT_EQ(poll(&ready, 1, 0), 0);
 }
 
+TEST(OdometerTrigger, APulseThatLiesOnAMarkPassesItHoweverTheMarkIsRounded) {
+  constexpr double kDistance = 0.05;
+  Bench bench(kDistance);
+  bench.odometer->track =
+      MotionTrack(MotionTrackOptions{512, std::chrono::seconds(1), false, std::chrono::seconds(1)});
+  bench.odometer->Tell(100.0, 0.02);
+  ASSERT_TRUE(bench.trigger->Start());
+  for (int pulse = 3; pulse <= 5000; ++pulse) {
+    const double seconds = 100.0 + 0.01 * pulse;
+    bench.clock.Set(seconds);
+    bench.odometer->Tell(seconds, pulse / 100.0);
+    ASSERT_EQ(bench.Events().size(), pulse % 5 == 0 ? 1U : 0U) << "pulse " << pulse;
+  }
+}
+
 TEST(OdometerTrigger, AMarkAheadHasADeadlineAtThePresentSpeed) {
   Bench bench(1.0);
   bench.odometer->Tell(99.9, 10.0);
