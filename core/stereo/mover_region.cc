@@ -209,7 +209,9 @@ class Search {
     int x = 0;
     int y = 0;
     map_grid_.Pixel(ray, &x, &y);
-    return map.at(x, y);
+    // A view that was matched before its neighbours were there has a map of half the size.
+    return map.at(x * map.width() / s_.map.disparity.width(),
+                  y * map.height() / s_.map.disparity.height());
   }
   static Meeting SidesOf(const MergeSamples& samples, std::size_t count) {
     Meeting meeting;
