@@ -35,6 +35,7 @@ void AddConfigCommand(CLI::App& app, CommandRun& run);
 void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
 void AddStitchCommand(CLI::App& app, CommandRun& run);
 void AddImportCommand(CLI::App& app, CommandRun& run);
+void AddCameraCommand(CLI::App& app, CommandRun& run);  // camera list, info, grab, test
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

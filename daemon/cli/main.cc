@@ -32,6 +32,7 @@ constexpr std::array kCommands = {
     AddRigCommand,
     AddStitchCommand,
     AddImportCommand,
+    AddCameraCommand,
 };
 // clang-format on
 

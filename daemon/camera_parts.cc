@@ -1,0 +1,85 @@
+#include "daemon/camera_parts.h"
+
+#include <algorithm>
+
+namespace omnihdr {
+namespace {
+
+sim::SceneKind Scene(SimScene scene) {
+  switch (scene) {
+    case SimScene::kHall:
+      return sim::SceneKind::kHall;
+    case SimScene::kYard:
+      return sim::SceneKind::kYard;
+    case SimScene::kTunnel:
+      return sim::SceneKind::kTunnel;
+    case SimScene::kStreet:
+      return sim::SceneKind::kStreet;
+  }
+  return sim::SceneKind::kHall;
+}
+
+CameraOptions MakeIidcOptions(const CameraConfig& config) {
+  const IidcCameraConfig& from = config.iidc;
+  iidc::IidcCameraOptions options;
+  options.id = from.id;
+  options.rig_file = from.rig;
+  options.format =
+      from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;
+  options.jpeg_quality = from.jpeg_quality;
+  options.mode = from.mode;
+  options.coding = from.coding == IidcCoding::kMono8 ? iidc::Coding::kMono8 : iidc::Coding::kRaw8;
+  options.left = from.left;
+  options.top = from.top;
+  options.packet_bytes = from.packet_bytes;
+  options.trigger_mode = from.trigger_mode;
+  options.settle_frames = from.settle_frames;
+  options.white_balance_blue = from.white_balance_blue;
+  options.white_balance_red = from.white_balance_red;
+  options.usb_recording = from.usb_recording;
+  options.frame_timeout_s = config.frame_timeout_s;
+  return options;
+}
+
+}  // namespace
+
+CameraOptions MakeCameraOptions(const DaemonConfig& config) {
+  if (config.camera.driver == CameraDriver::kReplay) {
+    ReplayOptions replay;
+    replay.session = config.camera.replay.session;
+    return replay;
+  }
+  if (config.camera.driver == CameraDriver::kIidc) return MakeIidcOptions(config.camera);
+  if (config.camera.driver == CameraDriver::kV4l2) {
+    v4l2::V4l2CameraOptions v4l2 = config.camera.v4l2;
+    v4l2.frame_timeout_s = config.camera.frame_timeout_s;
+    return v4l2;
+  }
+  const SimCameraConfig& from = config.camera.sim;
+  sim::SimCameraOptions options;
+  options.simulation.scene = Scene(from.scene);
+  options.simulation.seed = from.seed;
+  options.simulation.layout = from.layout == SimLayout::kRig ? Layout::kRig : Layout::kPanorama;
+  options.simulation.rig_file = from.rig;
+  options.simulation.sensor_width = from.sensor_width;
+  options.simulation.projection = from.projection;
+  options.simulation.width = from.width;
+  options.simulation.motion.yaw_deg_per_m = from.yaw_deg_per_m;
+  options.simulation.motion.sway_deg = from.sway_deg;
+  options.simulation.movers.count = from.movers;
+  options.simulation.movers.speed = std::min(from.mover_speed_m_s / from.speed_m_s, 100.0);
+  options.simulation.sensor.full_well_e = from.photons_full_well;
+  options.simulation.sensor.read_noise = from.read_noise;
+  options.simulation.sensor.seed = from.seed;
+  options.latency_s = from.latency_s;
+  options.faults.lost_probability = from.lost_frame_probability;
+  options.faults.torn_probability = from.corrupt_frame_probability;
+  options.faults.exposure_probability = from.exposure_error_probability;
+  // A timer knows no place: the vehicle then is where its speed has taken it.
+  options.interval_m = config.trigger.source == TriggerKind::kTimer
+                           ? config.trigger.interval_s * from.speed_m_s
+                           : config.trigger.distance_m;
+  return options;
+}
+
+}  // namespace omnihdr
