@@ -18,7 +18,6 @@ namespace {
 
 using std::chrono::milliseconds;
 
-constexpr std::size_t kMaxWaiting = 4;
 constexpr int kMaxFailures = 3;
 constexpr Nanoseconds kIdleLook = milliseconds(50);
 constexpr Nanoseconds kSlice = milliseconds(50);
@@ -40,10 +39,7 @@ IidcCamera::IidcCamera(IidcCameraOptions options, std::unique_ptr<LinkFinder> fi
 IidcCamera::~IidcCamera() { Close(); }
 
 Result<CameraInfo> IidcCamera::Open() {
-  {
-    std::lock_guard lock(mutex_);
-    if (open_ && away_.empty()) return camera_->info;
-  }
+  if (handover_.IsOpen()) return camera_->info;
   Close();
   Result<ReadyCamera> ready = OpenAndSetUp(*finder_, options_, timeouts_).Context("IIDC camera");
   if (!ready) return Forward(std::move(ready).error());
@@ -57,26 +53,28 @@ Result<CameraInfo> IidcCamera::Open() {
   counter_ = 0;
   discarded_ = 0;
   failures_ = 0;
-  std::lock_guard lock(mutex_);
-  open_ = true;
-  away_.clear();
+  HandoverLimits limits;
+  limits.shortest = camera_->info.shortest;
+  limits.longest = camera_->info.longest;
+  if (camera_->gain_range) {
+    limits.least_gain_db = camera_->gain_range->minimum;
+    limits.most_gain_db = camera_->gain_range->maximum;
+  } else {
+    limits.gain_note = "the camera has no gain";
+  }
+  handover_.Open(std::move(limits));
   return camera_->info;
 }
 
 void IidcCamera::Close() {
   Stop();
-  std::lock_guard lock(mutex_);
-  open_ = false;
+  handover_.Close();
   camera_.reset();
 }
 
 Status IidcCamera::Start() {
-  {
-    std::lock_guard lock(mutex_);
-    if (!open_) return Fail(ErrorKind::kUnavailable, "IIDC camera: start: not open");
-    if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: start: {}", away_);
-    if (running_) return {};
-  }
+  OMNIHDR_ASSIGN(const bool may_start, handover_.MayStart());
+  if (!may_start) return {};
   assembler_->Reset();
   const auto begin = [this]() -> Status {
     OMNIHDR_TRY(camera_->link->StartStream(camera_->format.frame_bytes));
@@ -87,96 +85,24 @@ Status IidcCamera::Start() {
     camera_->link->StopStream();
     return Forward(std::move(begun).error(), "IIDC camera: start");
   }
-  std::lock_guard lock(mutex_);
-  running_ = true;
-  request_.reset();
-  worker_ = std::make_unique<Stage>(
-      "iidc-camera", [this](std::stop_token stop, Stage& stage) { return RunShots(stop, stage); });
+  handover_.Start("iidc-camera", [this](std::stop_token stop, Stage& stage) {
+    return RunShots(std::move(stop), stage);
+  });
   return {};
 }
 
 void IidcCamera::Stop() {
-  std::unique_ptr<Stage> worker;
-  {
-    std::lock_guard lock(mutex_);
-    running_ = false;
-    worker = std::move(worker_);
-  }
-  if (worker) {
-    worker->RequestStop();
-    changed_.notify_all();
-    // It ends with an error only when an exception escaped it, and the camera stops either way.
-    static_cast<void>(worker->Join());
-    bool gone = false;
-    {
-      std::lock_guard lock(mutex_);
-      gone = !away_.empty();
-    }
+  handover_.Stop([this](bool gone) {
     // The ring goes on taking data until the camera has stopped sending. Whether it listened shows
     // when it is opened again.
     if (!gone) static_cast<void>(camera_->registers->Write(kIsoEnable, 0, "ISO_EN"));
     camera_->link->StopStream();
-  }
-  std::lock_guard lock(mutex_);
-  request_.reset();
-  busy_ = false;
-  frames_.clear();
-  changed_.notify_all();
+  });
 }
 
-void IidcCamera::GoAway(std::string reason) {
-  away_ = std::move(reason);
-  request_.reset();
-  busy_ = false;
-  frames_.clear();
-  changed_.notify_all();
-}
+Status IidcCamera::Trigger(const ExposureRequest& request) { return handover_.Trigger(request); }
 
-Status IidcCamera::Trigger(const ExposureRequest& request) {
-  std::lock_guard lock(mutex_);
-  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: {}", away_);
-  if (!running_) return Fail(ErrorKind::kUnavailable, "IIDC camera: trigger: not started");
-  const CameraInfo& info = camera_->info;
-  if (!request.exposure.IsValid() || request.exposure.time < info.shortest ||
-      request.exposure.time > info.longest) {
-    return Fail(ErrorKind::kUsage, "IIDC camera: exposure {} s: expected {} to {} s",
-                request.exposure.time.seconds(), info.shortest.seconds(), info.longest.seconds());
-  }
-  const double gain = request.exposure.gain.value;
-  if (!camera_->gain_range && gain != 0.0) {
-    return Fail(ErrorKind::kUsage, "IIDC camera: gain {} dB: the camera has no gain", gain);
-  }
-  if (camera_->gain_range &&
-      (gain < camera_->gain_range->minimum || gain > camera_->gain_range->maximum)) {
-    return Fail(ErrorKind::kUsage, "IIDC camera: gain {} dB: expected {} to {} dB", gain,
-                camera_->gain_range->minimum, camera_->gain_range->maximum);
-  }
-  if (request_ || busy_) {
-    return Fail(ErrorKind::kTemporary, "IIDC camera: busy with the picture before");
-  }
-  if (frames_.size() >= kMaxWaiting) {
-    return Fail(ErrorKind::kTemporary, "IIDC camera: busy: {} pictures wait to be received",
-                kMaxWaiting);
-  }
-  request_ = request;
-  changed_.notify_all();
-  return {};
-}
-
-Result<CameraFrame> IidcCamera::Receive(Nanoseconds timeout) {
-  std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, timeout,
-                    [this] { return !running_ || !away_.empty() || !frames_.empty(); });
-  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "IIDC camera: {}", away_);
-  if (!running_) return Fail(ErrorKind::kUnavailable, "IIDC camera: receive: not started");
-  if (frames_.empty()) {
-    return Fail(ErrorKind::kTemporary, "IIDC camera: no picture within {} ms",
-                timeout.count() / 1'000'000);
-  }
-  CameraFrame frame = std::move(frames_.front());
-  frames_.pop_front();
-  return frame;
-}
+Result<CameraFrame> IidcCamera::Receive(Nanoseconds timeout) { return handover_.Receive(timeout); }
 
 IidcCamera::Counts IidcCamera::counts() const {
   std::lock_guard lock(mutex_);
@@ -186,48 +112,34 @@ IidcCamera::Counts IidcCamera::counts() const {
 Status IidcCamera::RunShots(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();
-    std::optional<ExposureRequest> request;
-    {
-      std::unique_lock lock(mutex_);
-      changed_.wait_for(lock, kIdleLook,
-                        [&] { return request_.has_value() || stop.stop_requested(); });
-      if (!away_.empty() || stop.stop_requested()) return {};
-      request = std::exchange(request_, std::nullopt);
-      busy_ = request.has_value();
-    }
+    const std::optional<ExposureRequest> request = handover_.Take(kIdleLook, stop);
     if (!request) {
       // Nobody waits for anything: what comes now belongs to nobody, and a lost camera shows.
       if (Status idle = DropStrays(); !idle) {
-        std::lock_guard lock(mutex_);
-        GoAway(idle.error().message);
+        handover_.GoAway(idle.error().message);
         return {};
       }
       continue;
     }
     Result<std::optional<CameraFrame>> taken = TakePicture(*request, stop);
-    std::lock_guard lock(mutex_);
     if (taken) {
       failures_ = 0;
       if (*taken) {
-        frames_.push_back(std::move(**taken));
-      } else {
-        ++counts_.lost;
-        ++counter_;  // unless the camera's own counter knows better
+        handover_.Finish(std::move(**taken));
+        continue;
       }
+      ++counter_;  // unless the camera's own counter knows better
+      {
+        std::lock_guard lock(mutex_);
+        ++counts_.lost;
+      }
+      handover_.Done();
     } else if (taken.error().kind == ErrorKind::kUnavailable || ++failures_ >= kMaxFailures) {
-      GoAway(taken.error().message);
+      handover_.GoAway(taken.error().message);
       return {};
     } else {
-      CameraFrame frame;
-      frame.trigger = request->trigger;
-      frame.status = FrameStatus::kMissedTrigger;
-      frame.detail = taken.error().message;
-      frame.camera_counter = counter_;
-      frame.mid_exposure = request->trigger_time;
-      frames_.push_back(std::move(frame));
+      handover_.Finish(Handover::Missed(*request, taken.error().message, counter_));
     }
-    busy_ = false;
-    changed_.notify_all();
   }
   return {};
 }

@@ -1,8 +1,6 @@
 #pragma once
 
-#include <condition_variable>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -11,6 +9,7 @@
 #include "core/base/clock.h"
 #include "core/base/stage.h"
 #include "core/ports/camera.h"
+#include "drivers/handover/handover.h"
 #include "drivers/iidc/camera_clock.h"
 #include "drivers/iidc/camera_setup.h"
 #include "drivers/iidc/exposure_table.h"
@@ -73,7 +72,6 @@ class IidcCamera final : public Camera {
   bool IsStray(const RawFrame& frame, const Sent& sent);
   Status DropStrays();
   Status RestartStream();
-  void GoAway(std::string reason);  // with mutex_
 
   const IidcCameraOptions options_;
   const std::unique_ptr<LinkFinder> finder_;
@@ -93,16 +91,9 @@ class IidcCamera final : public Camera {
   std::uint32_t discarded_ = 0;  // since last_counter_
   int failures_ = 0;
 
+  Handover handover_{"IIDC camera"};
   mutable std::mutex mutex_;
-  std::condition_variable changed_;
-  bool open_ = false;
-  bool running_ = false;
-  std::string away_;  // why the camera has gone; empty = it has not
-  std::optional<ExposureRequest> request_;
-  bool busy_ = false;
-  std::deque<CameraFrame> frames_;
-  Counts counts_;
-  std::unique_ptr<Stage> worker_;
+  Counts counts_;  // with mutex_
 };
 
 // The cameras on this machine's USB.

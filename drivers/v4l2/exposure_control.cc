@@ -121,8 +121,8 @@ GainDb ExposureControl::most_gain() const {
 }
 
 bool ExposureControl::AllowsGain(GainDb gain) const {
-  constexpr double kGrace = 0.01;
-  return gain.value >= least_gain().value - kGrace && gain.value <= most_gain().value + kGrace;
+  return gain.value >= least_gain().value - kGainGraceDb &&
+         gain.value <= most_gain().value + kGainGraceDb;
 }
 
 // VBLANK alone and first: the exposure's range follows from it.

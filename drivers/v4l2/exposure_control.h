@@ -42,6 +42,7 @@ class ExposureControl {
   bool in_lines() const { return in_lines_; }
   double unit_s() const { return unit_s_; }
   bool has_gain() const { return gain_ && gain_options_.unity > 0; }
+  static constexpr double kGainGraceDb = 0.01;  // what was read back may be asked for again
   // Of the gains that can be asked for; both 0 when there is none.
   GainDb least_gain() const;
   GainDb most_gain() const;

@@ -14,7 +14,6 @@ namespace {
 
 using std::chrono::milliseconds;
 
-constexpr std::size_t kMaxWaiting = 4;
 constexpr int kMaxFailures = 3;
 constexpr int kMaxContradictions = 2;
 constexpr int kMaxDrained = 64;
@@ -32,10 +31,7 @@ V4l2Camera::V4l2Camera(V4l2CameraOptions options, std::unique_ptr<V4l2System> sy
 V4l2Camera::~V4l2Camera() { Close(); }
 
 Result<CameraInfo> V4l2Camera::Open() {
-  {
-    std::lock_guard lock(mutex_);
-    if (open_ && away_.empty()) return info_;
-  }
+  if (handover_.IsOpen()) return camera_->info;
   Close();
   Result<std::unique_ptr<ReadyCamera>> ready =
       OpenAndSetUp(*system_, options_, clock_).Context("V4L2 camera");
@@ -44,17 +40,20 @@ Result<CameraInfo> V4l2Camera::Open() {
   counter_ = 0;
   contradictions_ = 0;
   failures_ = 0;
-  std::lock_guard lock(mutex_);
-  info_ = camera_->info;
-  open_ = true;
-  away_.clear();
-  return info_;
+  const ExposureControl& control = *camera_->exposure;
+  HandoverLimits limits;
+  limits.shortest = camera_->info.shortest;
+  limits.longest = camera_->info.longest;
+  limits.least_gain_db = control.least_gain().value - ExposureControl::kGainGraceDb;
+  limits.most_gain_db = control.most_gain().value + ExposureControl::kGainGraceDb;
+  if (!control.has_gain()) limits.gain_note = "camera.v4l2.gain_unity is not set";
+  handover_.Open(std::move(limits));
+  return camera_->info;
 }
 
 void V4l2Camera::Close() {
   Stop();
-  std::lock_guard lock(mutex_);
-  open_ = false;
+  handover_.Close();
   camera_.reset();
 }
 
@@ -68,90 +67,23 @@ void V4l2Camera::ForgetStream() {
 }
 
 Status V4l2Camera::Start() {
-  {
-    std::lock_guard lock(mutex_);
-    if (!open_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: start: not open");
-    if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: start: {}", away_);
-    if (running_) return {};
-  }
+  OMNIHDR_ASSIGN(const bool may_start, handover_.MayStart());
+  if (!may_start) return {};
   OMNIHDR_TRY(camera_->stream->Start(camera_->frame).Context("V4L2 camera: start"));
   ForgetStream();
-  std::lock_guard lock(mutex_);
-  running_ = true;
-  request_.reset();
-  worker_ = std::make_unique<Stage>(
-      "v4l2-camera", [this](std::stop_token stop, Stage& stage) { return Run(stop, stage); });
+  handover_.Start("v4l2-camera", [this](std::stop_token stop, Stage& stage) {
+    return Run(std::move(stop), stage);
+  });
   return {};
 }
 
 void V4l2Camera::Stop() {
-  std::unique_ptr<Stage> worker;
-  {
-    std::lock_guard lock(mutex_);
-    running_ = false;
-    worker = std::move(worker_);
-  }
-  if (worker) {
-    worker->RequestStop();
-    // It ends with an error only when an exception escaped it, and the camera stops either way.
-    static_cast<void>(worker->Join());
-    camera_->stream->Stop();
-  }
-  std::lock_guard lock(mutex_);
-  request_.reset();
-  busy_ = false;
-  frames_.clear();
-  changed_.notify_all();
+  handover_.Stop([this](bool) { camera_->stream->Stop(); });
 }
 
-void V4l2Camera::GoAway(std::string reason) {
-  away_ = std::move(reason);
-  request_.reset();
-  busy_ = false;
-  frames_.clear();
-  changed_.notify_all();
-}
+Status V4l2Camera::Trigger(const ExposureRequest& request) { return handover_.Trigger(request); }
 
-Status V4l2Camera::Trigger(const ExposureRequest& request) {
-  std::lock_guard lock(mutex_);
-  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: {}", away_);
-  if (!running_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: trigger: not started");
-  if (!request.exposure.IsValid() || request.exposure.time < info_.shortest ||
-      request.exposure.time > info_.longest) {
-    return Fail(ErrorKind::kUsage, "V4L2 camera: exposure {} s: expected {} to {} s",
-                request.exposure.time.seconds(), info_.shortest.seconds(), info_.longest.seconds());
-  }
-  const ExposureControl& control = *camera_->exposure;
-  if (!control.AllowsGain(request.exposure.gain)) {
-    return Fail(ErrorKind::kUsage, "V4L2 camera: gain {} dB: expected {} to {} dB{}",
-                request.exposure.gain.value, control.least_gain().value, control.most_gain().value,
-                control.has_gain() ? "" : " (camera.v4l2.gain_unity is not set)");
-  }
-  if (request_ || busy_) {
-    return Fail(ErrorKind::kTemporary, "V4L2 camera: busy with the picture before");
-  }
-  if (frames_.size() >= kMaxWaiting) {
-    return Fail(ErrorKind::kTemporary, "V4L2 camera: busy: {} pictures wait to be received",
-                kMaxWaiting);
-  }
-  request_ = request;
-  return {};
-}
-
-Result<CameraFrame> V4l2Camera::Receive(Nanoseconds timeout) {
-  std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, timeout,
-                    [this] { return !running_ || !away_.empty() || !frames_.empty(); });
-  if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "V4L2 camera: {}", away_);
-  if (!running_) return Fail(ErrorKind::kUnavailable, "V4L2 camera: receive: not started");
-  if (frames_.empty()) {
-    return Fail(ErrorKind::kTemporary, "V4L2 camera: no picture within {} ms",
-                timeout.count() / 1'000'000);
-  }
-  CameraFrame frame = std::move(frames_.front());
-  frames_.pop_front();
-  return frame;
-}
+Result<CameraFrame> V4l2Camera::Receive(Nanoseconds timeout) { return handover_.Receive(timeout); }
 
 V4l2Camera::Counts V4l2Camera::counts() const {
   std::lock_guard lock(mutex_);
@@ -161,64 +93,43 @@ V4l2Camera::Counts V4l2Camera::counts() const {
 Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();
-    std::optional<ExposureRequest> request;
-    {
-      std::lock_guard lock(mutex_);
-      if (!away_.empty()) return {};
-      request = std::exchange(request_, std::nullopt);
-      busy_ = request.has_value();
-    }
-    if (!request) {
-      if (Status idle = Idle(); !idle) {
-        std::lock_guard lock(mutex_);
-        GoAway(idle.error().message);
-        return {};
-      }
-      continue;
-    }
-    Result<std::optional<CameraFrame>> taken = TakePicture(*request, stop);
-    if (stop.stop_requested()) return {};
-    Status after;
-    {
-      std::lock_guard lock(mutex_);
-      if (taken && *taken) {
-        failures_ = 0;
-        frames_.push_back(std::move(**taken));
-        changed_.notify_all();
-      } else if (taken) {
-        ++counts_.lost_triggers;
-        ++counter_;
-      } else if (taken.error().kind == ErrorKind::kUnavailable || failures_ + 1 >= kMaxFailures) {
-        GoAway(taken.error().message);
-        return {};
-      } else {
-        CameraFrame frame;
-        frame.trigger = request->trigger;
-        frame.status = FrameStatus::kMissedTrigger;
-        frame.detail = taken.error().message;
-        frame.camera_counter = counter_;
-        frame.mid_exposure = request->trigger_time;
-        frames_.push_back(std::move(frame));
-        changed_.notify_all();
-      }
-    }
-    if (!taken) {
-      ++failures_;
-    } else if (!*taken) {
-      // No frames: the stream is begun anew, as a last attempt before the camera counts as gone.
-      after = ++failures_ >= kMaxFailures
-                  ? Status(Fail(ErrorKind::kUnavailable, "no frames for {} triggers", failures_))
-                  : RestartStream();
-    } else if (contradictions_ >= kMaxContradictions) {
-      after = MeasureAnew();
-    }
-    std::lock_guard lock(mutex_);
-    if (!after) {
-      GoAway(after.error().message);
+    const std::optional<ExposureRequest> request = handover_.Take(Nanoseconds(0), stop);
+    Status done = request ? Shoot(*request, stop) : Idle();
+    if (!done) {
+      handover_.GoAway(std::move(done).error().message);
       return {};
     }
-    busy_ = false;
   }
+  return {};
+}
+
+Status V4l2Camera::Shoot(const ExposureRequest& request, const std::stop_token& stop) {
+  Result<std::optional<CameraFrame>> taken = TakePicture(request, stop);
+  if (stop.stop_requested()) return {};
+  if (!taken) {
+    if (taken.error().kind == ErrorKind::kUnavailable || ++failures_ >= kMaxFailures) {
+      return Forward(std::move(taken).error());
+    }
+    handover_.Finish(Handover::Missed(request, taken.error().message, counter_));
+    return {};
+  }
+  if (*taken) {
+    failures_ = 0;
+    handover_.Deliver(std::move(**taken));
+    if (contradictions_ >= kMaxContradictions) OMNIHDR_TRY(MeasureAnew());
+  } else {
+    ++counter_;
+    {
+      std::lock_guard lock(mutex_);
+      ++counts_.lost_triggers;
+    }
+    // No frames: the stream is begun anew, as a last attempt before the camera counts as gone.
+    if (++failures_ >= kMaxFailures) {
+      return Fail(ErrorKind::kUnavailable, "no frames for {} triggers", failures_);
+    }
+    OMNIHDR_TRY(RestartStream());
+  }
+  handover_.Done();
   return {};
 }
 

@@ -1,8 +1,6 @@
 #pragma once
 
-#include <condition_variable>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -11,6 +9,7 @@
 #include "core/base/clock.h"
 #include "core/base/stage.h"
 #include "core/ports/camera.h"
+#include "drivers/handover/handover.h"
 #include "drivers/v4l2/camera_setup.h"
 #include "drivers/v4l2/exposure_log.h"
 
@@ -54,6 +53,8 @@ class V4l2Camera final : public Camera {
   };
 
   Status Run(std::stop_token stop, Stage& stage);
+  // An error: the camera has gone.
+  Status Shoot(const ExposureRequest& request, const std::stop_token& stop);
   Status Idle();
   Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
                                                  std::stop_token stop);
@@ -67,7 +68,6 @@ class V4l2Camera final : public Camera {
   Status MeasureAnew();
   Status RestartStream();
   void ForgetStream();
-  void GoAway(std::string reason);  // with mutex_
 
   const V4l2CameraOptions options_;
   const std::unique_ptr<V4l2System> system_;
@@ -85,17 +85,9 @@ class V4l2Camera final : public Camera {
   int contradictions_ = 0;        // in a row
   int failures_ = 0;
 
+  Handover handover_{"V4L2 camera"};
   mutable std::mutex mutex_;
-  std::condition_variable changed_;
-  bool open_ = false;
-  bool running_ = false;
-  std::string away_;  // why the camera has gone; empty = it has not
-  CameraInfo info_;
-  std::optional<ExposureRequest> request_;
-  bool busy_ = false;
-  std::deque<CameraFrame> frames_;
-  Counts counts_;
-  std::unique_ptr<Stage> worker_;
+  Counts counts_;  // with mutex_
 };
 
 // The cameras of this machine's kernel.
