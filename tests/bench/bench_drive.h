@@ -9,19 +9,22 @@
 #include "core/image/image_io.h"
 #include "core/photometry/measure.h"
 #include "core/session/journal.h"
+#include "core/session/session_reader.h"
 #include "tests/support/small_session.h"
 
 namespace omnihdr {
 
-// A furnished room, driven through there and back without end, three exposures in turn: what the
-// benchmarks of whole positions look at. The same pixels for ours and for the peers.
+// Places driven along there and back without end, each with its exposure: what the benchmarks of
+// whole positions look at. The same pixels for ours and for the peers.
 struct BenchDrive {
   testing::SessionPlan plan;
+  SessionInfo info;
   std::vector<std::vector<std::byte>> files;  // a PNG a place
   std::vector<DecodedImage> images;           // the same, decoded
   std::vector<Measurement> measurements;
 
-  // `files_only`: neither pictures nor measurements are kept.
+  // A furnished room, three exposures in turn. `files_only`: neither pictures nor measurements are
+  // kept.
   BenchDrive(int width, int places, double step_m, bool files_only = false) {
     plan.projection = Projection::Equirectangular(width, width / 2);
     plan.room.detail_m = 0.2;
@@ -31,6 +34,7 @@ struct BenchDrive {
     plan.poses = testing::GentleBend(places, step_m);
     plan.exposures_s = {0.25, 1.0, 4.0};
     plan.with_odometer = false;
+    info = testing::InfoOf(plan);
     files = testing::RenderFrames(plan);
     if (files_only) return;
     for (std::size_t k = 0; k < files.size(); ++k) {
@@ -45,6 +49,28 @@ struct BenchDrive {
       if (!m) std::abort();
       measurements.push_back(std::move(*m));
     }
+  }
+
+  // A recorded session of panoramas, one frame a position: files only. `plan` has made-up poses.
+  explicit BenchDrive(const std::filesystem::path& session) {
+    const Result<SessionContents> contents = ReadSession(session);
+    if (!contents) Refuse(contents.error().message);
+    info = contents->info;
+    info.files.clear();
+    if (info.camera.layout != Layout::kPanorama || info.camera.width != 2048 ||
+        info.camera.height != 1024) {
+      Refuse("a session of panoramas of 2048 x 1024 is needed");
+    }
+    plan.exposures_s.clear();
+    for (const FrameRecord& record : contents->journal.frames) {
+      if (record.status != FrameStatus::kOk) continue;
+      Result<std::vector<std::byte>> file = ReadFile(session / record.file);
+      if (!file) Refuse(file.error().message);
+      files.push_back(std::move(*file));
+      plan.exposures_s.push_back(record.exposure.time.seconds());
+    }
+    if (files.size() < 4) Refuse("at least four frames are needed");
+    plan.poses = testing::GentleBend(static_cast<int>(files.size()), 0.25);
   }
 
   ExposureTime Exposure(std::size_t place) const {
@@ -67,11 +93,24 @@ struct BenchDrive {
     record.exposure.time = Exposure(place);
     if (!writer.Append(record, files[place])) std::abort();
   }
+
+ private:
+  [[noreturn]] static void Refuse(const std::string& what) {
+    fmt::print(stderr, "benchmark: {}\n", what);
+    std::exit(65);
+  }
 };
 
 // The drive that whole positions are measured on: lat-long 2048×1024.
 inline const BenchDrive& LargeDrive() {
   static const BenchDrive drive(2048, 7, 0.25);
+  return drive;
+}
+
+// A walk that a camera recorded, lat-long 2048×1024, when OMNIHDR_BENCH_SESSION names a session.
+inline const char* RecordedWalkPath() { return std::getenv("OMNIHDR_BENCH_SESSION"); }
+inline const BenchDrive& RecordedWalk() {
+  static const BenchDrive drive{std::filesystem::path(RecordedWalkPath())};
   return drive;
 }
 

@@ -22,8 +22,7 @@ class BenchSession {
  public:
   explicit BenchSession(const BenchDrive& drive, const PipelineOptions& options = {})
       : drive_(drive) {
-    Result<SessionWriter> writer =
-        SessionWriter::Create(directory_.path() / "s", InfoOf(drive.plan));
+    Result<SessionWriter> writer = SessionWriter::Create(directory_.path() / "s", drive.info);
     if (!writer) std::abort();
     writer_.emplace(std::move(*writer));
     Result<std::unique_ptr<SessionProcessor>> processor =

@@ -17,9 +17,9 @@ namespace {
 
 constexpr int kFull = 6;  // positions until every view has all its neighbours
 
-void OnePosition(benchmark::State& state, int workers) {
+void OnePosition(benchmark::State& state, const BenchDrive& drive, int workers) {
   SetWorkerCount(workers);
-  BenchSession session(LargeDrive());
+  BenchSession session(drive);
   session.RecordAndProcess(kFull);
   for (auto _ : state) {
     state.PauseTiming();
@@ -30,8 +30,8 @@ void OnePosition(benchmark::State& state, int workers) {
   }
   SetWorkerCount(0);
 }
-void OmnihdrPosition(benchmark::State& state) { OnePosition(state, 0); }
-void OmnihdrPositionOneThread(benchmark::State& state) { OnePosition(state, 1); }
+void OmnihdrPosition(benchmark::State& state) { OnePosition(state, LargeDrive(), 0); }
+void OmnihdrPositionOneThread(benchmark::State& state) { OnePosition(state, LargeDrive(), 1); }
 OMNIHDR_BENCHMARK(OmnihdrPosition, "Position/omnihdr")->Iterations(3);
 // The same work on two threads and on one: the ratio of wall times is what the second one gains.
 OMNIHDR_BENCHMARK(OmnihdrPosition, "Threads/omnihdr")->Iterations(3);
@@ -158,9 +158,8 @@ enum class Parts {
   kIncremental,  // pictures and features: one picture, one SIFT, one match a position
 };
 
-void OpencvChain(benchmark::State& state, Parts parts) {
+void OpencvChain(benchmark::State& state, const BenchDrive& drive, Parts parts) {
   constexpr int kFeatures = 6000;
-  const BenchDrive& drive = LargeDrive();
   const auto matcher = opencv_parts::Matcher(kDisparities, cv::StereoSGBM::MODE_SGBM_3WAY);
   const cv::Ptr<cv::MergeDebevec> merge = cv::createMergeDebevec();
   const cv::Ptr<cv::TonemapReinhard> tonemap = cv::createTonemapReinhard(2.2F);
@@ -217,10 +216,35 @@ void OpencvChain(benchmark::State& state, Parts parts) {
     if (drive.Place(position) == drive.Place(position - 2)) ++position;
   }
 }
-void OpencvPosition(benchmark::State& state) { OpencvChain(state, Parts::kPerTarget); }
-void OpencvIncremental(benchmark::State& state) { OpencvChain(state, Parts::kIncremental); }
+void OpencvPosition(benchmark::State& state) {
+  OpencvChain(state, LargeDrive(), Parts::kPerTarget);
+}
+void OpencvIncremental(benchmark::State& state) {
+  OpencvChain(state, LargeDrive(), Parts::kIncremental);
+}
 OMNIHDR_BENCHMARK(OpencvPosition, "Position/opencv")->Iterations(1);
 OMNIHDR_BENCHMARK(OpencvIncremental, "Position/opencv_incremental")->Iterations(1);
+
+// The same over a recorded walk, when there is one.
+void OmnihdrWalk(benchmark::State& state) { OnePosition(state, RecordedWalk(), 0); }
+void OpencvWalk(benchmark::State& state) { OpencvChain(state, RecordedWalk(), Parts::kPerTarget); }
+void OpencvWalkIncremental(benchmark::State& state) {
+  OpencvChain(state, RecordedWalk(), Parts::kIncremental);
+}
+[[maybe_unused]] const bool kWalkRegistered = [] {
+  if (RecordedWalkPath() == nullptr) return false;
+  const auto add = [](const char* name, void (*function)(benchmark::State&), int iterations) {
+    benchmark::RegisterBenchmark(name, function)
+        ->Unit(benchmark::kMillisecond)
+        ->MeasureProcessCPUTime()
+        ->UseRealTime()
+        ->Iterations(iterations);
+  };
+  add("Walk/omnihdr", OmnihdrWalk, 3);
+  add("Walk/opencv", OpencvWalk, 1);
+  add("Walk/opencv_incremental", OpencvWalkIncremental, 1);
+  return true;
+}();
 
 }  // namespace
 }  // namespace omnihdr

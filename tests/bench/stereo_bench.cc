@@ -19,6 +19,8 @@ namespace omnihdr {
 namespace {
 
 constexpr int kMapWidth = 2048;
+// The grid of stereo.width, at which the pipeline matches pictures of that size.
+constexpr int kPipelineWidth = 1024;
 constexpr int kLabels = 64;
 
 // Five places; the one in the middle is matched.
@@ -29,12 +31,14 @@ struct StereoInput {
   std::vector<SweepNeighbour> half_neighbours;
   std::vector<std::size_t> places = {2, 1, 3, 0, 4};
   LogScale scale;
+  int width = 0;  // of the grid
 };
 
-const StereoInput& Input() {
-  static const StereoInput input = [] {
+const StereoInput& Input(int width = kMapWidth) {
+  static const auto make = [](int map_width) {
     const BenchDrive& drive = LargeDrive();
     StereoInput in;
+    in.width = map_width;
     float floor = 1e9F;
     float brightest = 0.0F;
     for (const std::size_t place : in.places) {
@@ -46,7 +50,7 @@ const StereoInput& Input() {
     in.views.reserve(in.places.size());
     for (const std::size_t place : in.places) {
       in.views.push_back(MakeStereoView(drive.measurements[place], drive.plan.poses[place].rotation,
-                                        2 * kMapWidth, in.scale));
+                                        2 * map_width, in.scale));
     }
     for (const StereoView& view : in.views) in.halves.push_back(HalveStereoView(view));
     const Eigen::Vector3d centre = drive.plan.poses[in.places[0]].translation;
@@ -57,8 +61,10 @@ const StereoInput& Input() {
           {&in.views[k], (drive.plan.poses[in.places[k]].translation - centre).cast<float>()});
     }
     return in;
-  }();
-  return input;
+  };
+  static const StereoInput full = make(kMapWidth);
+  static const StereoInput reduced = make(kPipelineWidth);
+  return width == kMapWidth ? full : reduced;
 }
 
 SweepOptions Labels() {
@@ -72,23 +78,25 @@ std::vector<SweepNeighbour> Some(const std::vector<SweepNeighbour>& all, std::si
   return {all.begin(), all.begin() + static_cast<std::ptrdiff_t>(count)};
 }
 
-DisparityMap MatchOnce(const StereoView& reference, std::size_t neighbours, bool everywhere) {
+DisparityMap MatchOnce(const StereoView& reference, std::size_t neighbours, bool everywhere,
+                       int width = kMapWidth) {
+  const StereoInput& input = Input(width);
   SweepOptions options = Labels();
   if (!everywhere) {
     const StereoView half = HalveStereoView(reference);
-    const DisparityMap guide = MatchCoarse(StereoCost::kInterval, half,
-                                           Some(Input().half_neighbours, neighbours), options);
-    options.ranges = RangesAround(guide, kMapWidth, kMapWidth / 2, options.labels,
-                                  options.max_disparity, RangeOptions{});
+    const DisparityMap guide =
+        MatchCoarse(StereoCost::kInterval, half, Some(input.half_neighbours, neighbours), options);
+    options.ranges = RangesAround(guide, width, width / 2, options.labels, options.max_disparity,
+                                  RangeOptions{});
   }
-  return OptimiseSemiGlobal(SweepCosts(reference, Some(Input().neighbours, neighbours), options),
+  return OptimiseSemiGlobal(SweepCosts(reference, Some(input.neighbours, neighbours), options),
                             reference, SgmOptions{});
 }
 
-StereoView Prepared(std::size_t place) {
+StereoView Prepared(std::size_t place, int width = kMapWidth) {
   const BenchDrive& drive = LargeDrive();
-  return MakeStereoView(drive.measurements[place], drive.plan.poses[place].rotation, 2 * kMapWidth,
-                        Input().scale);
+  return MakeStereoView(drive.measurements[place], drive.plan.poses[place].rotation, 2 * width,
+                        Input(width).scale);
 }
 
 // One more position's panorama prepared, and the view matched with its four neighbours.
@@ -99,6 +107,17 @@ void OmnihdrStereo(benchmark::State& state) {
   }
 }
 OMNIHDR_BENCHMARK(OmnihdrStereo, "Stereo/omnihdr")->Iterations(1);
+
+// The same on the grid that the pipeline uses by default, on which the targets of disparity are
+// met.
+void OmnihdrStereoView(benchmark::State& state) {
+  Input(kPipelineWidth);
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(
+        MatchOnce(Prepared(Input().places[0], kPipelineWidth), 4, false, kPipelineWidth));
+  }
+}
+OMNIHDR_BENCHMARK(OmnihdrStereoView, "StereoView/omnihdr");
 
 void OmnihdrStereoEverywhere(benchmark::State& state) {
   Input();
@@ -147,6 +166,8 @@ void OpencvSgbm(benchmark::State& state) { OpencvPair(state, cv::StereoSGBM::MOD
 void Opencv3Way(benchmark::State& state) { OpencvPair(state, cv::StereoSGBM::MODE_SGBM_3WAY); }
 OMNIHDR_BENCHMARK(OpencvSgbm, "Stereo/opencv_sgbm");
 OMNIHDR_BENCHMARK(Opencv3Way, "Stereo/opencv_3way");
+OMNIHDR_BENCHMARK(OpencvSgbm, "StereoView/opencv_sgbm");
+OMNIHDR_BENCHMARK(Opencv3Way, "StereoView/opencv_3way");
 OMNIHDR_BENCHMARK(OpencvSgbm, "StereoFused/opencv_sgbm");
 
 }  // namespace
