@@ -4,10 +4,12 @@
 
 namespace omnihdr::testing {
 
-// An empty directory under the system's temporary one, removed with all it holds at the end.
+// An empty directory under the system's temporary one, or under `parent`, removed with all it holds
+// at the end.
 class TemporaryDirectory {
  public:
   TemporaryDirectory();
+  explicit TemporaryDirectory(const std::filesystem::path& parent);
   ~TemporaryDirectory();
   TemporaryDirectory(const TemporaryDirectory&) = delete;
   TemporaryDirectory& operator=(const TemporaryDirectory&) = delete;
