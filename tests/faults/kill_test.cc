@@ -67,7 +67,7 @@ TEST_F(Killed, AtRandomMomentsItEndsWithTheSameBytes) {
   drive_.Undisturbed();
   const double whole_s = SecondsSince(start);
   // From before it reads its configuration to well into the views.
-  std::uniform_real_distribution<double> moment_s(0.0, 0.4 * whole_s);
+  std::uniform_real_distribution<double> moment_s(0.0, 0.5 * whole_s);
   start = std::chrono::steady_clock::now();
   std::uint64_t with_frames = 0;
   for (std::uint64_t kill = 0; kill < kills; ++kill) {
