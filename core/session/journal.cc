@@ -209,7 +209,7 @@ Status SessionWriter::Append(FrameRecord record, std::span<const std::byte> file
 Status SessionWriter::AppendLine(const FrameRecord& record) {
   const std::string path = JournalPath(directory_).string();
   if (needs_repair_) OMNIHDR_TRY(Repair());
-  const std::string line = FormatFrameRecord(record) + "\n";
+  const std::string line = SealJournalLine(FormatFrameRecord(record)) + "\n";
   if (line.size() > session_limits::kMaxLineBytes) {
     return Fail(ErrorKind::kSoftware, "{}: a line of {} bytes, expected at most {}", path,
                 line.size(), session_limits::kMaxLineBytes);

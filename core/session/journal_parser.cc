@@ -1,9 +1,12 @@
 #include "core/session/journal_parser.h"
 
 #include <algorithm>
+#include <cassert>
 #include <filesystem>
+#include <span>
 #include <utility>
 
+#include "core/base/crc32c.h"
 #include "core/session/json.h"
 #include "core/session/limits.h"
 #include "core/session/session_reader.h"
@@ -158,7 +161,32 @@ std::optional<std::uint64_t> FrameNumberOf(std::string_view line) {
   return static_cast<std::uint64_t>(*number);
 }
 
+constexpr std::string_view kSealKey = "\"line_crc32c\"";
+constexpr std::string_view kSealPrefix = ", \"line_crc32c\": ";
+
+std::uint32_t CrcOfText(std::string_view text) {
+  return Crc32c(std::as_bytes(std::span(text.data(), text.size())));
+}
+
 }  // namespace
+
+std::string SealJournalLine(std::string line) {
+  assert(line.size() > 2 && line.back() == '}');
+  line.pop_back();
+  const std::uint32_t crc = CrcOfText(line);
+  return fmt::format("{}{}{}}}", line, kSealPrefix, crc);
+}
+
+JournalSeal JournalSealOf(std::string_view line) {
+  if (line.find(kSealKey) == std::string_view::npos) return JournalSeal::kNone;
+  const std::size_t at = line.rfind(kSealPrefix);
+  // Another program wrote it anew, in a form of its own.
+  if (at == std::string_view::npos || line.back() != '}') return JournalSeal::kBroken;
+  const std::string_view digits =
+      line.substr(at + kSealPrefix.size(), line.size() - at - kSealPrefix.size() - 1);
+  return digits == fmt::format("{}", CrcOfText(line.substr(0, at))) ? JournalSeal::kHolds
+                                                                    : JournalSeal::kBroken;
+}
 
 Result<FrameRecord> ParseFrameRecord(std::string_view line, const std::string& name, int number) {
   if (line.size() > limits::kMaxLineBytes) {

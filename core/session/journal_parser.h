@@ -59,6 +59,12 @@ class JournalParser {
   std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
+// A line ends with the CRC-32C of all that stands before it: `..., "line_crc32c": 123}`. Readers
+// take the line whatever it says (it may have been edited on purpose); CheckSession tells.
+std::string SealJournalLine(std::string line);  // of an object, without newline
+enum class JournalSeal : std::uint8_t { kNone, kHolds, kBroken };
+JournalSeal JournalSealOf(std::string_view line);
+
 // The record of one line (without newline) or what is wrong with it: "name:number: key: value,
 // ...".
 Result<FrameRecord> ParseFrameRecord(std::string_view line, const std::string& name, int number);

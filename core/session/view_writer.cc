@@ -15,6 +15,7 @@
 #include "core/base/file.h"
 #include "core/session/json.h"
 #include "core/session/limits.h"
+#include "core/session/view_names.h"
 
 namespace omnihdr {
 namespace {
@@ -25,32 +26,7 @@ using json::Json;
 using json::ObjectReader;
 using json::ObjectWriter;
 
-constexpr std::string_view kTemporarySuffix = ".tmp";
 constexpr std::int64_t kMaxLevel = 1000;  // of quality: a later version may know more than this one
-
-fs::path TemporaryName(const fs::path& views, PositionId position) {
-  return views / fmt::format(".{}{}", ViewDirectoryName(position), kTemporarySuffix);
-}
-
-bool IsTemporaryName(const std::string& name) {
-  return name.size() > 1 + kTemporarySuffix.size() && name.front() == '.' &&
-         name.ends_with(kTemporarySuffix) &&
-         std::all_of(name.begin() + 1,
-                     name.end() - static_cast<std::ptrdiff_t>(kTemporarySuffix.size()),
-                     [](char c) { return c >= '0' && c <= '9'; });
-}
-
-std::optional<PositionId> PositionFromName(const std::string& name) {
-  if (name.size() < 6 || name.size() > 9 ||
-      !std::all_of(name.begin(), name.end(), [](char c) { return c >= '0' && c <= '9'; })) {
-    return std::nullopt;
-  }
-  std::int64_t number = 0;
-  for (const char c : name) number = number * 10 + (c - '0');
-  const PositionId position{number};
-  if (ViewDirectoryName(position) != name) return std::nullopt;
-  return position;
-}
 
 bool IsComplete(const fs::path& views, PositionId position) {
   return ReadViewRecord(views, position).has_value();
@@ -401,7 +377,7 @@ Status WriteView(const fs::path& views_directory, PositionId position, bool repl
   if (new_directory) OMNIHDR_TRY(SyncDirectory(parent.empty() ? fs::path(".") : parent));
 
   const fs::path final_path = views_directory / ViewDirectoryName(position);
-  const fs::path temporary = TemporaryName(views_directory, position);
+  const fs::path temporary = TemporaryViewName(views_directory, position);
   // A directory of that name which is not a complete view is rubbish somebody left; it goes.
   if (!replace && IsComplete(views_directory, position)) {
     return Fail(ErrorKind::kCannotCreate, "{}: {}: already exists", what, final_path.string());
@@ -465,7 +441,7 @@ Result<int> RemoveTemporaryViews(const fs::path& views_directory) {
   std::vector<fs::path> found;
   fs::directory_iterator it(views_directory, error);
   for (const fs::directory_iterator end; !error && it != end; it.increment(error)) {
-    if (IsTemporaryName(it->path().filename().string())) found.push_back(it->path());
+    if (IsTemporaryViewName(it->path().filename().string())) found.push_back(it->path());
   }
   if (error) {
     return Fail(ErrorKind::kNoInput, "{}: {}", views_directory.string(), error.message());

@@ -36,6 +36,8 @@ void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
 void AddStitchCommand(CLI::App& app, CommandRun& run);
 void AddImportCommand(CLI::App& app, CommandRun& run);
 void AddCameraCommand(CLI::App& app, CommandRun& run);  // camera list, info, grab, test
+void AddVerifyCommand(CLI::App& app, CommandRun& run);
+void AddRepairCommand(CLI::App& app, CommandRun& run);
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

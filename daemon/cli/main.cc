@@ -21,6 +21,8 @@ constexpr std::array kCommands = {
     AddCalibrateCommand,
     AddConvertCommand,
     AddReportCommand,
+    AddVerifyCommand,
+    AddRepairCommand,
     AddViewCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
