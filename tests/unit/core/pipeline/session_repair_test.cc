@@ -33,20 +33,13 @@ testing::SessionPlan Plan() {
   return plan;
 }
 
-PipelineOptions Options() {
-  PipelineOptions options = testing::QuickOptions();
-  options.stereo_width = 64;
-  options.labels = 16;
-  return options;
-}
-
 // The undisturbed session with its views, made once.
 const fs::path& Whole() {
   static const testing::TemporaryDirectory directory;
   static const fs::path session = directory.path() / "whole";
   if (!fs::exists(session)) {
     testing::WriteSession(session, Plan(), testing::RenderFrames(Plan()));
-    testing::ProcessAll(session, {}, Options());
+    testing::ProcessAll(session);
   }
   return session;
 }
@@ -162,7 +155,7 @@ TEST(SessionRepair, WhatPowerLossAndBadDisksDoIsFoundAndWhatIsLeftProcesses) {
     const RepairReport again = Repair(session);
     EXPECT_TRUE(again.actions.empty());
     EXPECT_EQ(again.found.leftovers, 0U);
-    const testing::Processed processed = testing::ProcessAll(session, {}, Options());
+    const testing::Processed processed = testing::ProcessAll(session);
     EXPECT_GT(processed.counts.views_complete, 0);
     const SessionReport after = Check(session);
     EXPECT_EQ(after.leftovers, 0U);
