@@ -143,6 +143,9 @@ class Loader {
             line_of("camera.driver"), "camera.v4l2.rig",
             "\"\", expected the rig file of the camera's head with camera.v4l2.layout = \"rig\"");
       }
+      if (const Status devices = v4l2::CheckDevices(camera); !devices) {
+        Problem(line_of("camera.v4l2.devices"), "camera.v4l2.devices", devices.error().message);
+      }
       if ((camera.width == 0) != (camera.height == 0)) {
         Problem(line_of("camera.v4l2.width"), "camera.v4l2.width",
                 fmt::format("{}, expected it and camera.v4l2.height, now {}, both 0 or neither",

@@ -73,6 +73,37 @@ ConfigKey WhiteBalanceKelvin() {
           }};
 }
 
+ConfigKey Devices() {
+  constexpr std::size_t kMostBytes = 256;
+  return {
+      "camera.v4l2.devices",
+      fmt::format("an array of 2 to {} paths, names or serial numbers, or []", v4l2::kMaxDevices),
+      [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+        if (value.type != TomlValue::Type::kArray || value.items.size() == 1 ||
+            value.items.size() > v4l2::kMaxDevices) {
+          return false;
+        }
+        std::vector<std::string> devices;
+        for (const TomlValue& item : value.items) {
+          if (item.type != TomlValue::Type::kString || item.text.empty() ||
+              item.text.size() > kMostBytes || item.text.find('\0') != std::string::npos) {
+            return false;
+          }
+          devices.push_back(item.text);
+        }
+        config.camera.v4l2.devices = std::move(devices);
+        return true;
+      },
+      [](const DaemonConfig& config) {
+        std::string text = "[";
+        for (const std::string& device : config.camera.v4l2.devices) {
+          if (text.size() > 1) text += ", ";
+          text += TomlText(device);
+        }
+        return text + "]";
+      }};
+}
+
 ConfigKey TriggerMode() {
   return {"camera.iidc.trigger_mode", "0, 14 or 15",
           [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
@@ -276,6 +307,7 @@ std::vector<ConfigKey> MakeKeys() {
 
   add(Text("camera.v4l2.device", "a path, a name or a serial number", 256,
            OMNIHDR_MEMBER(camera.v4l2.device)));
+  add(Devices());
   add(Text("camera.v4l2.controls", "a path", 256, OMNIHDR_MEMBER(camera.v4l2.controls_device)));
   add(Choice("camera.v4l2.layout",
              std::vector{Layout::kRig, Layout::kPanorama, Layout::kPerspective},

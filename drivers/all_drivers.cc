@@ -5,6 +5,8 @@
 #include <string>
 #include <utility>
 
+#include "drivers/v4l2/rig_camera.h"
+
 namespace omnihdr {
 
 const std::vector<CameraDriverEntry>& CameraDrivers() {
@@ -12,7 +14,7 @@ const std::vector<CameraDriverEntry>& CameraDrivers() {
       {"sim", "a simulated camera in a rendered HDR world"},
       {"replay", "a recorded session as a camera"},
       {"iidc", "an IIDC camera on USB (Point Grey, FLIR)"},
-      {"v4l2", "a camera of the kernel's (UVC, raw sensors)"},
+      {"v4l2", "a camera of the kernel's (UVC, raw sensors), or several as a rig"},
   };
   return drivers;
 }

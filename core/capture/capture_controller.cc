@@ -197,7 +197,9 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) const {
       record.heading_deg = frame.recorded->heading_deg;
       record.pose = frame.recorded->pose;
     }
-    if (record.status == FrameStatus::kOk) {
+    const bool partial = record.status == FrameStatus::kCorrupt && frame.partial &&
+                         PixelFault(frame, description_).empty();
+    if (record.status == FrameStatus::kOk || partial) {
       std::visit([&](auto& image) { line.pixels = std::move(image); }, frame.pixels);
     }
   }

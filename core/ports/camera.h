@@ -58,7 +58,10 @@ struct CameraFrame {
   TriggerId trigger{};
   FrameStatus status = FrameStatus::kOk;  // kOk, kCorrupt or kMissedTrigger
   std::string detail;                     // when not ok
-  std::uint64_t camera_counter = 0;       // the camera's own frame counter: gaps are lost frames
+  // Corrupt, but some of a rig's sensors are whole: the pixels are kept beside the journal's line,
+  // whose detail says which are not, and take no part in any view.
+  bool partial = false;
+  std::uint64_t camera_counter = 0;  // the camera's own frame counter: gaps are lost frames
   // The exposure the frame really had and how that is known. Nothing when the camera cannot tell.
   std::optional<Exposure> measured_exposure;
   ExposureProof proof = ExposureProof::kNone;

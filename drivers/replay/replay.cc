@@ -174,6 +174,7 @@ CameraFrame ReplayCamera::Load(std::uint64_t line, const ExposureRequest& reques
     return frame;
   }
   frame.pixels = std::move(image->pixels);
+  frame.partial = record.status == FrameStatus::kCorrupt;
   return frame;
 }
 

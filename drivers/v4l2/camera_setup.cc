@@ -116,8 +116,13 @@ struct Asked {
   }
 };
 
-Result<Asked> AskedByRig(const std::string& content, const std::string& name) {
+// `which`: the one sensor that the camera is; -1 = all.
+Result<Asked> AskedByRig(const std::string& content, const std::string& name, int which) {
   OMNIHDR_ASSIGN(const Rig rig, ParseRig(content, name));
+  if (which >= static_cast<int>(rig.sensors.size())) {
+    return Fail(ErrorKind::kConfig, "{}: {} sensors: expected one for each of camera.v4l2.devices",
+                name, rig.sensors.size());
+  }
   OMNIHDR_ASSIGN(const std::vector<int> rows, StackedRows(rig).Context(name));
   Asked asked;
   asked.bayer = rig.sensors.front().bayer;
@@ -130,6 +135,7 @@ Result<Asked> AskedByRig(const std::string& content, const std::string& name) {
   }
   asked.width = rig.sensors.front().lens.width();
   asked.height = rows.back();
+  if (which >= 0) asked.height = rig.sensors[static_cast<std::size_t>(which)].lens.height();
   return asked;
 }
 
@@ -257,10 +263,38 @@ Status Measure(ReadyCamera& camera, const V4l2CameraOptions& options, const Cloc
 
 }  // namespace
 
+Status CheckDevices(const V4l2CameraOptions& options) {
+  const std::vector<std::string>& devices = options.devices;
+  if (devices.empty()) return {};
+  if (devices.size() < 2 || devices.size() > kMaxDevices) {
+    return Fail(ErrorKind::kConfig, "devices: {}: expected 2 to {}, or none", devices.size(),
+                kMaxDevices);
+  }
+  if (!options.device.empty() || !options.controls_device.empty()) {
+    return Fail(ErrorKind::kConfig, "device, controls: \"{}\", \"{}\": expected \"\" with devices",
+                options.device, options.controls_device);
+  }
+  if (options.layout != Layout::kRig) {
+    return Fail(ErrorKind::kConfig, "layout: \"{}\": expected \"rig\" with devices",
+                ToString(options.layout));
+  }
+  for (std::size_t i = 0; i < devices.size(); ++i) {
+    if (devices[i].empty())
+      return Fail(ErrorKind::kConfig, "devices[{}]: empty: expected a name", i);
+    if (std::find(devices.begin(), devices.begin() + static_cast<std::ptrdiff_t>(i), devices[i]) !=
+        devices.begin() + static_cast<std::ptrdiff_t>(i)) {
+      return Fail(ErrorKind::kConfig, "devices[{}]: \"{}\": expected each camera once", i,
+                  devices[i]);
+    }
+  }
+  return {};
+}
+
 Status V4l2CameraOptions::Validate() const {
   if (layout == Layout::kRig && rig_file.empty()) {
     return Fail(ErrorKind::kConfig, "rig: empty: expected the rig file with layout = \"rig\"");
   }
+  OMNIHDR_TRY(CheckDevices(*this));
   OMNIHDR_TRY(CheckOption("width", width, 0, kMaxSide));
   OMNIHDR_TRY(CheckOption("height", height, 0, kMaxSide));
   if ((width == 0) != (height == 0)) {
@@ -302,7 +336,8 @@ Result<std::unique_ptr<ReadyCamera>> OpenAndSetUp(V4l2System& system,
   Asked asked;
   if (options.layout == Layout::kRig) {
     OMNIHDR_ASSIGN(camera->info.files, ReadRigFilesOf(options.rig_file));
-    OMNIHDR_ASSIGN(asked, AskedByRig(camera->info.files.front().content, options.rig_file));
+    OMNIHDR_ASSIGN(
+        asked, AskedByRig(camera->info.files.front().content, options.rig_file, options.sensor));
   } else {
     asked.width = options.width;
     asked.height = options.height;
@@ -310,6 +345,7 @@ Result<std::unique_ptr<ReadyCamera>> OpenAndSetUp(V4l2System& system,
   asked.layout = options.layout;
 
   OMNIHDR_ASSIGN(Identified found, FindCamera(system, options.device));
+  camera->node = found.node.path;
   camera->device = std::move(found.device);
   V4l2Device& device = *camera->device;
   const auto set_up = [&]() -> Status {

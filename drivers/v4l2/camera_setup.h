@@ -23,6 +23,11 @@ struct V4l2CameraOptions {
   // Which camera: the path of its node, its name in /dev/v4l/by-id or by-path, or the serial number
   // of its USB device; empty = the only one there.
   std::string device;
+  // Several cameras as one rig: one for each sensor of the rig file, in its order, each named as
+  // above (drivers/v4l2/rig_camera.h). Empty = `device` alone.
+  std::vector<std::string> devices;
+  // Layout rig: which of the rig file's sensors it is; -1 = it is all of them, stacked.
+  int sensor = -1;
   std::string controls_device;  // node that has the sensor's controls; empty = the camera's own
   Layout layout = Layout::kRig;
   std::string rig_file;  // layout rig: its sensors' sizes decide the picture's
@@ -40,6 +45,7 @@ struct V4l2CameraOptions {
 
 // A camera that has been found and configured: everything automatic off and read back.
 struct ReadyCamera {
+  std::string node;  // its path
   // In this order: what is below uses what is above.
   std::unique_ptr<V4l2Device> device;
   std::unique_ptr<V4l2Device> controls_device;  // null = the same
@@ -55,6 +61,10 @@ struct ReadyCamera {
   std::string latency_note;  // why it was not
   CameraInfo info;
 };
+
+inline constexpr std::size_t kMaxDevices = 16;
+// Whether `devices` goes together with the other options.
+Status CheckDevices(const V4l2CameraOptions& options);
 
 // Finds the camera, makes it ready and measures its latency. kUnavailable: no such camera (the
 // message names what is there); kConfig: the camera cannot do what is asked of it.

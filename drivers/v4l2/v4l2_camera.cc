@@ -7,8 +7,6 @@
 #include <cmath>
 #include <utility>
 
-#include "drivers/v4l2/kernel_device.h"
-
 namespace omnihdr::v4l2 {
 namespace {
 
@@ -40,6 +38,11 @@ Result<CameraInfo> V4l2Camera::Open() {
   counter_ = 0;
   contradictions_ = 0;
   failures_ = 0;
+  handover_.Open(limits());
+  return camera_->info;
+}
+
+HandoverLimits V4l2Camera::limits() const {
   const ExposureControl& control = *camera_->exposure;
   HandoverLimits limits;
   limits.shortest = camera_->info.shortest;
@@ -47,8 +50,7 @@ Result<CameraInfo> V4l2Camera::Open() {
   limits.least_gain_db = control.least_gain().value - ExposureControl::kGainGraceDb;
   limits.most_gain_db = control.most_gain().value + ExposureControl::kGainGraceDb;
   if (!control.has_gain()) limits.gain_note = "camera.v4l2.gain_unity is not set";
-  handover_.Open(std::move(limits));
-  return camera_->info;
+  return limits;
 }
 
 void V4l2Camera::Close() {
@@ -309,10 +311,6 @@ Status V4l2Camera::RestartStream() {
   OMNIHDR_TRY(camera_->stream->Start(camera_->frame).Context("begin the stream anew"));
   ForgetStream();
   return {};
-}
-
-std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options) {
-  return std::make_unique<V4l2Camera>(std::move(options), MakeKernelSystem());
 }
 
 }  // namespace omnihdr::v4l2

@@ -35,6 +35,10 @@ class V4l2Camera final : public Camera {
   Status Trigger(const ExposureRequest& request) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
 
+  // Of the open camera: the path of its node, and which requests it takes.
+  const std::string& node() const { return camera_->node; }
+  HandoverLimits limits() const;
+
   struct Counts {
     std::uint64_t damaged = 0;         // frames with the driver's error flag
     std::uint64_t stale = 0;           // older than one that had come before
@@ -89,8 +93,5 @@ class V4l2Camera final : public Camera {
   mutable std::mutex mutex_;
   Counts counts_;  // with mutex_
 };
-
-// The cameras of this machine's kernel.
-std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options);
 
 }  // namespace omnihdr::v4l2

@@ -13,6 +13,7 @@
 #include "drivers/all_drivers.h"
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
+#include "drivers/v4l2/rig_camera.h"
 #include "tests/compliance/camera_suite.h"
 #include "tests/emulators/iidc_link.h"
 #include "tests/emulators/umockdev_usb.h"
@@ -182,6 +183,48 @@ Rig MakeV4l2Rig(bool raw_sensor) {
       std::make_unique<v4l2::V4l2Camera>(options, emulators::MakeEmulatedV4l2({emulated->model}));
   rig.unplug = [emulated] { emulated->model->Unplug(); };
   rig.plug_in = [emulated] { emulated->model->PlugIn(); };
+  for (const double t : {0.0002, 0.0005, 0.001, 0.002, 0.0039}) {
+    rig.ladder.push_back(ExposureTime::Seconds(t));
+  }
+  return rig;
+}
+
+// Three emulated cameras as one rig, each at its own pace.
+struct EmulatedV4l2Head {
+  EmulatedV4l2Head() {
+    emulators::V4l2ModelOptions options;
+    for (int i = 0; i < 3; ++i) {
+      options.path = fmt::format("/dev/video{}", 2 * i);
+      options.serial = fmt::format("S{}", i);
+      options.interval_s = 0.004 + 0.001 * i;
+      models.push_back(std::make_shared<emulators::V4l2CameraModel>(options, clock));
+    }
+    std::ofstream(rig()) << emulators::EmulatedRig(3, options.width, options.height,
+                                                   BayerOrder::kNone);
+  }
+  std::filesystem::path rig() const { return folder.path() / "head.toml"; }
+
+  const SystemClock clock;
+  const testing::TemporaryDirectory folder;
+  std::vector<std::shared_ptr<emulators::V4l2CameraModel>> models;
+};
+
+Rig MakeV4l2Head() {
+  auto emulated = std::make_shared<EmulatedV4l2Head>();
+  v4l2::V4l2CameraOptions options;
+  options.rig_file = emulated->rig();
+  options.coding = v4l2::Coding::kGrey;
+  options.devices = {"S0", "S1", "S2"};
+  Rig rig;
+  rig.surroundings = emulated;
+  rig.camera = std::make_unique<v4l2::V4l2RigCamera>(
+      options, [emulated] { return emulators::MakeEmulatedV4l2(emulated->models); });
+  rig.unplug = [emulated] {
+    for (const auto& model : emulated->models) model->Unplug();
+  };
+  rig.plug_in = [emulated] {
+    for (const auto& model : emulated->models) model->PlugIn();
+  };
   for (const double t : {0.0002, 0.0005, 0.001, 0.002, 0.0039}) {
     rig.ladder.push_back(ExposureTime::Seconds(t));
   }
@@ -452,7 +495,8 @@ std::vector<RigFactory> AllRigs() {
       {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
       {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }},
       {"v4l2", [] { return MakeV4l2Rig(false); }},
-      {"v4l2_raw_sensor", [] { return MakeV4l2Rig(true); }}};
+      {"v4l2_raw_sensor", [] { return MakeV4l2Rig(true); }},
+      {"v4l2_head", [] { return MakeV4l2Head(); }}};
 }
 
 TEST(CameraComplianceSuite, CoversEveryDriverOfTheBuild) {

@@ -256,6 +256,27 @@ TEST(CaptureController, ATornFrameKeepsTheCamerasWord) {
   EXPECT_TRUE(std::holds_alternative<std::monostate>(bench.sink.lines[0].pixels));
 }
 
+TEST(CaptureController, AnIncompleteFrameOfARigIsCorruptAndKeepsItsPixels) {
+  Bench bench;
+  bench.Trigger();
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.status = FrameStatus::kCorrupt;
+  frame.detail = "incomplete: sensor 1 missing";
+  frame.partial = true;
+  bench.controller.OnFrame(std::move(frame));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kCorrupt);
+  EXPECT_EQ(bench.record(0).detail, "incomplete: sensor 1 missing");
+  EXPECT_TRUE(std::holds_alternative<Image<std::uint8_t>>(bench.sink.lines[0].pixels));
+  // What is not of the session's size cannot be kept either.
+  bench.Trigger();
+  CameraFrame other = FrameFor(bench.commanded[1]);
+  other.status = FrameStatus::kCorrupt;
+  other.partial = true;
+  other.pixels = Image<std::uint8_t>(8, 3, 3);
+  bench.controller.OnFrame(std::move(other));
+  EXPECT_TRUE(std::holds_alternative<std::monostate>(bench.sink.lines[1].pixels));
+}
+
 TEST(CaptureController, ALostCameraEndsWhatIsOnItsWay) {
   Bench bench;
   bench.Trigger();

@@ -382,6 +382,11 @@ TEST(Config, KeysThatNeedEachOtherAreCheckedTogether) {
   EXPECT_THAT(
       OnlyProblem("camera.driver = 'v4l2'\n[camera.v4l2]\nlayout = 'panorama'\nwidth = 64\n"),
       HasSubstr("dir/test.toml:4: camera.v4l2.width: 64, expected it and camera.v4l2.height"));
+  EXPECT_THAT(OnlyProblem("camera.driver = 'v4l2'\n[camera.v4l2]\nrig = 'a.toml'\ndevice = 'x'\n"
+                          "devices = ['a', 'b']\n"),
+              HasSubstr("dir/test.toml:5: camera.v4l2.devices: device, controls: \"x\", \"\": "
+                        "expected \"\" with devices"));
+  EXPECT_THAT(OnlyProblem("camera.v4l2.devices = ['a']\n"), HasSubstr("an array of 2 to 16"));
   EXPECT_THAT(OnlyProblem("camera.v4l2.white_balance = 20\n"),
               HasSubstr("kelvin in [1000, 20000]"));
   EXPECT_THAT(OnlyProblem("trigger.source = 'replay'\n"), HasSubstr("trigger.source: \"replay\""));
