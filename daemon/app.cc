@@ -48,10 +48,11 @@ BracketOptions MakeBracketOptions(const BracketConfig& config) {
   return options;
 }
 
-App::App(DaemonConfig config, SessionChoice choice, MakeParts make_parts)
+App::App(DaemonConfig config, SessionChoice choice, MakeParts make_parts, ReadConfig read_config)
     : config_(std::move(config)),
       choice_(std::move(choice)),
       make_parts_(std::move(make_parts)),
+      read_config_(std::move(read_config)),
       hub_(kMaxListeners, kListenerQueue),
       state_([this](const StateReport& report) { OnStateChanged(report); }),
       recorder_(MakeRecorderOptions(config_.recorder),
@@ -131,6 +132,7 @@ Status App::ResumeSession() {
 Status App::StartLoop() {
   OMNIHDR_ASSIGN(loop_, EventLoop::Create());
   OMNIHDR_TRY(loop_->OnTermination([this](int signal) { OnSignal(signal); }));
+  OMNIHDR_TRY(loop_->OnHangup([this] { OnHangup(); }));
   OMNIHDR_ASSIGN(trigger_timer_, loop_->AddTimer([this] { OnTriggersReady(); }));
   OMNIHDR_ASSIGN(capture_timer_, loop_->AddTimer([this] {
     if (CaptureController* capture = controller()) capture->OnTime();
@@ -205,6 +207,7 @@ Status App::TearDown() {
     if (Status ended = stage->Join(); !ended && outcome) outcome = std::move(ended);
     stage.reset();
   };
+  join(reload_stage_);
   join(camera_stage_);
   join(recorder_stage_);
   if (pipeline_stage_) {

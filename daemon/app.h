@@ -26,6 +26,7 @@
 #include "daemon/api/event_hub.h"
 #include "daemon/api/server.h"
 #include "daemon/config.h"
+#include "daemon/config_reload.h"
 #include "daemon/event_loop.h"
 #include "daemon/logging.h"
 #include "daemon/session_choice.h"
@@ -46,6 +47,9 @@ struct AppParts {
   std::vector<std::shared_ptr<VehicleLink>> links;
   std::vector<std::shared_ptr<StatusOutput>> outputs;
   std::shared_ptr<StrobeOutput> strobe;
+  // Gives the running trigger source another interval or distance, from the main loop; empty when
+  // the source has neither.
+  std::function<Status(const TriggerConfig&)> retune;
   // Opens the pipeline over a session directory; empty = no views are made here.
   std::function<Result<std::unique_ptr<SessionProcessor>>(const std::filesystem::path& session,
                                                           ProcessorCallbacks callbacks)>
@@ -76,7 +80,8 @@ BracketOptions MakeBracketOptions(const BracketConfig& config);
 //   finish, or the end of the trigger series: the session is ended, the daemon keeps serving
 class App final : public ApiBackend {
  public:
-  App(DaemonConfig config, SessionChoice choice, MakeParts make_parts);
+  // `read_config` reads the configuration again for a reload; empty = there is nothing to read.
+  App(DaemonConfig config, SessionChoice choice, MakeParts make_parts, ReadConfig read_config = {});
   ~App() override;
 
   // Runs until the daemon is told to stop. An error decides the exit code. BlockSignals() must have
@@ -89,6 +94,7 @@ class App final : public ApiBackend {
   ApiReply Trigger() override;
   ApiReply Finish() override;
   ApiReply Stop(bool leave_session_open) override;
+  ApiReply Reload() override;
 
  private:
   // A session that is open for writing.
@@ -131,6 +137,7 @@ class App final : public ApiBackend {
 
   // Main loop.
   void OnSignal(int signal);
+  void OnHangup();
   void OnTriggersReady();
   Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
   void StartSource();
@@ -153,6 +160,11 @@ class App final : public ApiBackend {
   // From outside, for field buses; any thread but the loop's.
   Status Command(ApplianceCommand command);
 
+  // Reload (app_reload.cc); main loop.
+  ApiReply ApplyConfig(const Result<DaemonConfig>& next);
+  ApiReply RefuseConfig(const Error& error);
+  Status ChangeBracket(const BracketConfig& bracket);
+
   // The vehicle (app_vehicle.cc).
   Status StartLinks();
   void StopLinks();
@@ -166,9 +178,12 @@ class App final : public ApiBackend {
   CaptureController* controller() const { return controller_.load(std::memory_order_acquire); }
   void PostOrLog(EventLoop::Callback message);
 
-  const DaemonConfig config_;
+  // Written by the main loop, in a reload: only what a reload changes, and that under mutex_. Other
+  // threads take mutex_ to read it; what a reload does not change needs none.
+  DaemonConfig config_;
   const SessionChoice choice_;
   const MakeParts make_parts_;
+  const ReadConfig read_config_;
   AppParts parts_;
   const SystemClock clock_;
   const HostTime started_ = clock_.Now();
@@ -193,7 +208,17 @@ class App final : public ApiBackend {
   std::condition_variable_any journal_grew_;
   StorageForecast storage_forecast_;
 
+  // Held while a bracket is checked against the camera and put in force.
+  std::mutex plan_mutex_;
+  ExposureLimits exposure_limits_;
+  std::mutex reload_mutex_;  // held by whoever reloads
+  std::atomic<bool> reload_again_ = false;
+
   // Loop thread.
+  std::uint64_t reloads_ = 0;
+  std::uint64_t reloads_refused_ = 0;
+  std::string reload_error_;                 // why the last one was refused
+  std::vector<std::string> restart_needed_;  // keys of the file that are not in force
   Phase phase_ = Phase::kRunning;
   bool exit_after_end_ = false;
   bool ended_ = false;
@@ -232,6 +257,7 @@ class App final : public ApiBackend {
   std::unique_ptr<Stage> pipeline_stage_;
   std::unique_ptr<Stage> recorder_stage_;
   std::unique_ptr<Stage> camera_stage_;
+  std::unique_ptr<Stage> reload_stage_;
 };
 
 }  // namespace omnihdr

@@ -301,10 +301,11 @@ StatusReport App::BuildStatus() const {
     s.triggers_in_flight = triggers - s.triggers;
     s.triggers = triggers;
     s.capture = capture->counts();
-    s.bracket_step = capture->plan().StepForTrigger(next);
-    s.bracket_steps = static_cast<int>(capture->plan().exposures().size());
-    s.bracket_order = std::string(ToString(capture->plan().order()));
-    s.exposure = capture->plan().ForTrigger(next);
+    const BracketPlan plan = capture->plan();
+    s.bracket_step = plan.StepForTrigger(next);
+    s.bracket_steps = static_cast<int>(plan.exposures().size());
+    s.bracket_order = std::string(ToString(plan.order()));
+    s.exposure = plan.ForTrigger(next);
   }
   if (s.triggers > 0) {
     s.positions_triggered =
@@ -312,6 +313,10 @@ StatusReport App::BuildStatus() const {
                                   static_cast<std::uint64_t>(config_.bracket.frames_per_position)) +
         1;
   }
+  s.reloads = reloads_;
+  s.reloads_refused = reloads_refused_;
+  s.reload_error = reload_error_;
+  s.restart_needed = restart_needed_;
   const HostTime now = clock_.Now();
   if (parts_.positions) s.odometer_m = parts_.positions->OdometerMetres(now);
   if (parts_.place) {

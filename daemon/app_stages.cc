@@ -79,8 +79,16 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   limits.shortest = info.shortest;
   limits.longest = info.longest;
   limits.quantum_s = info.exposure_quantum_s;
-  Result<BracketPlan> plan = BracketPlan::Make(MakeBracketOptions(config_.bracket), limits);
+  // A reload of the bracket waits until the camera's limits are known and its plan is in force.
+  std::lock_guard plan_lock(plan_mutex_);
+  BracketConfig bracket;
+  {
+    std::lock_guard lock(mutex_);
+    bracket = config_.bracket;
+  }
+  Result<BracketPlan> plan = BracketPlan::Make(MakeBracketOptions(bracket), limits);
   if (!plan) return fault(plan.error());
+  exposure_limits_ = limits;
 
   std::shared_ptr<Session> session = this->session();
   if (session) {
@@ -124,6 +132,8 @@ Status App::OnCameraOpened(const CameraInfo& info) {
         [this](const ExposureRequest& request) { return CommandCamera(request); },
         parts_.positions.get(), clock_, parts_.place.get());
     controller_.store(owned_controller_.get(), std::memory_order_release);
+  } else if (const Status planned = owned_controller_->SetPlan(std::move(*plan)); !planned) {
+    return fault(planned.error());
   }
   return {};
 }

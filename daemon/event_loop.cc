@@ -16,11 +16,12 @@ namespace {
 
 constexpr std::size_t kMaxMessages = 1024;
 
-sigset_t TerminationSignals() {
+sigset_t LoopSignals() {
   sigset_t set;
   sigemptyset(&set);
   sigaddset(&set, SIGTERM);
   sigaddset(&set, SIGINT);
+  sigaddset(&set, SIGHUP);
   return set;
 }
 
@@ -37,7 +38,7 @@ std::uint64_t Microseconds(HostTime time) {
 }  // namespace
 
 Status BlockSignals() {
-  const sigset_t set = TerminationSignals();
+  const sigset_t set = LoopSignals();
   if (const int error = ::pthread_sigmask(SIG_BLOCK, &set, nullptr); error != 0) {
     return FailErrno(ErrorKind::kSystem, "block signals", error);
   }
@@ -79,6 +80,18 @@ Status EventLoop::OnTermination(std::function<void(int)> callback) {
     if (const int error = sd_event_add_signal(event_, nullptr, signal, handler, this); error < 0) {
       return FailErrno(ErrorKind::kSystem, "event loop: wait for signals", -error);
     }
+  }
+  return {};
+}
+
+Status EventLoop::OnHangup(Callback callback) {
+  on_hangup_ = std::move(callback);
+  const auto handler = [](sd_event_source*, const signalfd_siginfo*, void* function) -> int {
+    return CallBack(function);
+  };
+  if (const int error = sd_event_add_signal(event_, nullptr, SIGHUP, handler, &on_hangup_);
+      error < 0) {
+    return FailErrno(ErrorKind::kSystem, "event loop: wait for SIGHUP", -error);
   }
   return {};
 }

@@ -38,6 +38,8 @@ class EventLoop {
 
   // SIGTERM and SIGINT (blocked beforehand with BlockSignals).
   Status OnTermination(std::function<void(int signal)> callback);
+  // SIGHUP, likewise.
+  Status OnHangup(Callback callback);
   // Calls back whenever `fd` is readable.
   Status OnReadable(int fd, Callback callback);
   void StopWatching(int fd);
@@ -82,6 +84,7 @@ class EventLoop {
   Fd wake_;
   BoundedQueue<Callback> messages_;
   std::function<void(int)> on_termination_;
+  Callback on_hangup_;
   std::vector<std::unique_ptr<Watch>> watches_;
   std::vector<std::unique_ptr<Watch>> retired_;
   std::vector<std::unique_ptr<Timer>> timers_;

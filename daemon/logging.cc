@@ -52,6 +52,20 @@ class JournalPriority final : public spdlog::custom_flag_formatter {
   }
 };
 
+spdlog::level::level_enum Severity(LogLevel level) {
+  switch (level) {
+    case LogLevel::kDebug:
+      return spdlog::level::debug;
+    case LogLevel::kInfo:
+      return spdlog::level::info;
+    case LogLevel::kWarning:
+      return spdlog::level::warn;
+    case LogLevel::kError:
+      break;
+  }
+  return spdlog::level::err;
+}
+
 }  // namespace
 
 void InitLogging(LogLevel level) {
@@ -64,23 +78,12 @@ void InitLogging(LogLevel level) {
   } else {
     logger->set_pattern("%Y-%m-%d %H:%M:%S.%e %l %v");
   }
-  switch (level) {
-    case LogLevel::kDebug:
-      logger->set_level(spdlog::level::debug);
-      break;
-    case LogLevel::kInfo:
-      logger->set_level(spdlog::level::info);
-      break;
-    case LogLevel::kWarning:
-      logger->set_level(spdlog::level::warn);
-      break;
-    case LogLevel::kError:
-      logger->set_level(spdlog::level::err);
-      break;
-  }
+  logger->set_level(Severity(level));
   logger->flush_on(spdlog::level::debug);
   spdlog::set_default_logger(std::move(logger));
 }
+
+void SetLogLevel(LogLevel level) { spdlog::set_level(Severity(level)); }
 
 std::optional<std::uint64_t> FloodGate::Pass(HostTime now) {
   ++held_;

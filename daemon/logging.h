@@ -12,6 +12,8 @@ namespace omnihdr {
 // error is the system journal, with a priority prefix ("<4>") that journald understands. Call once,
 // first.
 void InitLogging(LogLevel level);
+// The least severity logged from now on. Any thread.
+void SetLogLevel(LogLevel level);
 
 // Lets one message a second through and counts the rest, so that a flood of the same complaint
 // stays readable. Not thread-safe.

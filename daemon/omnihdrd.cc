@@ -39,8 +39,15 @@ Status Main(const Arguments& arguments) {
   InitLogging(config.log.level);
   OMNIHDR_ASSIGN(SessionChoice choice,
                  ChooseSession(config.session, arguments.session, SystemClock().NowUtc()));
-  App app(config, std::move(choice),
-          [&config](const PartsContext& context) { return MakeConfiguredParts(config, context); });
+  App app(
+      config, std::move(choice),
+      [&config](const PartsContext& context) { return MakeConfiguredParts(config, context); },
+      [&arguments]() -> Result<DaemonConfig> {
+        OMNIHDR_ASSIGN(DaemonConfig again,
+                       ConfigOrError(LoadConfig(arguments.config, arguments.config_given)));
+        OMNIHDR_TRY(CheckParts(again));
+        return again;
+      });
   return app.Run();
 }
 

@@ -49,7 +49,9 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       TimerTriggerOptions options;
       options.interval_s = config.trigger.interval_s;
       OMNIHDR_TRY(options.Validate().Context("trigger timer"));
-      parts.triggers = std::make_unique<TimerTrigger>(options);
+      const auto timer = std::make_shared<TimerTrigger>(options);
+      parts.triggers = timer;
+      parts.retune = [timer](const TriggerConfig& to) { return timer->SetInterval(to.interval_s); };
       break;
     }
     case TriggerKind::kGpio:
@@ -63,8 +65,10 @@ Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsCont
       OMNIHDR_TRY(options.Validate().Context("trigger distance"));
       auto vehicle = std::make_shared<sim::SimVehicle>(vehicle_options, WallClock());
       parts.positions = vehicle;
-      parts.triggers =
-          std::make_unique<sim::DistanceTrigger>(options, std::move(vehicle), WallClock());
+      const auto marks =
+          std::make_shared<sim::DistanceTrigger>(options, std::move(vehicle), WallClock());
+      parts.triggers = marks;
+      parts.retune = [marks](const TriggerConfig& to) { return marks->SetDistance(to.distance_m); };
       break;
     }
     case TriggerKind::kReplay: {

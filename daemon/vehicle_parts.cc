@@ -105,7 +105,9 @@ Status AddVehicleParts(const DaemonConfig& config, const PartsContext& context, 
     OdometerTriggerOptions options;
     options.distance_m = config.trigger.distance_m;
     OMNIHDR_TRY(options.Validate().Context("trigger distance"));
-    parts.triggers = std::make_shared<OdometerTrigger>(options, std::move(odometer), WallClock());
+    const auto marks = std::make_shared<OdometerTrigger>(options, std::move(odometer), WallClock());
+    parts.triggers = marks;
+    parts.retune = [marks](const TriggerConfig& to) { return marks->SetDistance(to.distance_m); };
   }
   return {};
 }

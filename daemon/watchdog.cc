@@ -6,6 +6,11 @@
 namespace omnihdr {
 
 void ServiceNotifier::Ready() { sd_notify(0, "READY=1"); }
+
+void ServiceNotifier::Reloading(HostTime now) {
+  sd_notify(0, fmt::format("RELOADING=1\nMONOTONIC_USEC={}", now.ns() / 1000).c_str());
+}
+
 void ServiceNotifier::Stopping() { sd_notify(0, "STOPPING=1"); }
 
 void ServiceNotifier::StatusText(std::string_view text) {

@@ -12,6 +12,8 @@ namespace omnihdr {
 class ServiceNotifier {
  public:
   void Ready();
+  // The configuration is being read again; Ready() ends it.
+  void Reloading(HostTime now);
   void Stopping();
   void StatusText(std::string_view text);
   void FeedWatchdog();

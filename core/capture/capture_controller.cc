@@ -37,14 +37,14 @@ CaptureController::CaptureController(BracketPlan plan, CameraDescription descrip
                                      CaptureSink& sink, CommandCamera command,
                                      const PositionSource* positions, const Clock& clock,
                                      const PlaceSource* place)
-    : plan_(std::move(plan)),
-      description_(std::move(description)),
+    : description_(std::move(description)),
       options_(options),
       sink_(sink),
       command_(std::move(command)),
       positions_(positions),
       place_(place),
       clock_(clock),
+      plan_(std::move(plan)),
       next_(next) {}
 
 ExposureRequest CaptureController::NextRequest(const TriggerEvent& event) {
@@ -221,6 +221,21 @@ void CaptureController::SubmitEnded() {
     }
     sink_.Submit(std::move(line));
   }
+}
+
+BracketPlan CaptureController::plan() const {
+  std::lock_guard lock(mutex_);
+  return plan_;
+}
+
+Status CaptureController::SetPlan(BracketPlan plan) {
+  std::lock_guard lock(mutex_);
+  if (plan.frames_per_position() != plan_.frames_per_position()) {
+    return Fail(ErrorKind::kConfig, "bracket.frames_per_position: {}, expected {} as before",
+                plan.frames_per_position(), plan_.frames_per_position());
+  }
+  plan_ = std::move(plan);
+  return {};
 }
 
 TriggerId CaptureController::next_trigger() const {

@@ -103,7 +103,10 @@ class CaptureController {
     std::string last_reason;
   };
   RecentLosses recent_losses() const;
-  const BracketPlan& plan() const { return plan_; }
+  BracketPlan plan() const;
+  // Exposures from the next trigger on; triggers on their way keep theirs. kConfig when the plan
+  // has another number of frames per position: positions would be counted anew.
+  Status SetPlan(BracketPlan plan);
 
  private:
   void AddLost(std::uint64_t lost, const TriggerEvent& event);
@@ -111,7 +114,6 @@ class CaptureController {
   void SubmitEnded();
   CaptureLine MakeLine(TriggerOutcome outcome) const;
 
-  const BracketPlan plan_;
   const CameraDescription description_;
   const CaptureOptions options_;
   CaptureSink& sink_;
@@ -121,6 +123,7 @@ class CaptureController {
   const Clock& clock_;
 
   mutable std::mutex mutex_;
+  BracketPlan plan_;
   TriggerId next_;
   TriggerLedger ledger_;
   CaptureCounts counts_;

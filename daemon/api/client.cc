@@ -37,6 +37,7 @@ tl::unexpected<Error> Refusal(int http_status, const std::string& body) {
                             : fmt::format("the daemon answered HTTP {}", http_status);
   ErrorKind kind = ErrorKind::kSoftware;
   if (http_status == 503) kind = ErrorKind::kTemporary;
+  if (http_status == 422) kind = ErrorKind::kConfig;
   if (http_status == 409) kind = ErrorKind::kUnavailable;
   if (http_status == 400 || http_status == 404 || http_status == 405 || http_status == 413) {
     kind = ErrorKind::kUsage;

@@ -17,7 +17,7 @@ class ApiClient {
       : socket_(std::move(socket)), timeout_(timeout) {}
 
   // The JSON body of the answer. kUnavailable when nobody listens; when the daemon refuses, its own
-  // words, as kTemporary (503), kUsage (4xx) or kSoftware.
+  // words, as kTemporary (503), kConfig (422), kUsage (other 4xx) or kSoftware.
   Result<nlohmann::json> Get(const std::string& route);
   Result<nlohmann::json> Post(const std::string& route,
                               const nlohmann::json& body = nlohmann::json::object());

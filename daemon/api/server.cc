@@ -206,6 +206,7 @@ class ApiServer::Impl {
     post("/v1/disarm", &ApiBackend::Disarm);
     post("/v1/trigger", &ApiBackend::Trigger);
     post("/v1/finish", &ApiBackend::Finish);
+    post("/v1/reload", &ApiBackend::Reload);
     server_.Post("/v1/stop", [this](const Request& request, Response& response) {
       bool leave_open = false;
       if (!request.body.empty()) {

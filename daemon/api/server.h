@@ -39,6 +39,8 @@ class ApiBackend {
   virtual ApiReply Finish() = 0;
   // Ends the daemon; before that the session, unless it is to be left open for the next start.
   virtual ApiReply Stop(bool leave_session_open) = 0;
+  // Reads the configuration again: 422 when it is refused, whole, with the reason.
+  virtual ApiReply Reload() = 0;
 };
 
 struct ApiServerOptions {
@@ -55,10 +57,12 @@ struct ApiServerOptions {
 //   POST /v1/stop      end the session, then the daemon; body {"leave_open": true}: leave the
 //   session
 //                      open, as SIGTERM does
+//   POST /v1/reload    read the configuration again; the answer lists every key that changed
 //   GET  /v1/events    a stream, one JSON object a line; with "Accept: text/event-stream" as
 //                      server-sent events. The first event is the status.
 //   GET  /metrics      Prometheus text
-// Errors: 400 malformed, 404, 405, 409 not in this state, 413 too large, 503 busy or not ready.
+// Errors: 400 malformed, 404, 405, 409 not in this state, 413 too large, 422 configuration refused,
+// 503 busy or not ready.
 class ApiServer {
  public:
   // Listens at once. A socket file left behind by a daemon that is gone is replaced; when somebody

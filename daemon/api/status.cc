@@ -104,6 +104,10 @@ Json StatusToJson(const StatusReport& s) {
       {"minutes_left", OrNull(s.minutes_left)},
       {"buffers", {{"free", s.buffers_free}, {"of", s.buffers}}},
   };
+  json["config"] = {{"reloads", s.reloads},
+                    {"reloads_refused", s.reloads_refused},
+                    {"error", Utf8(s.reload_error)},
+                    {"restart_needed", s.restart_needed}};
   json["gnss"] = nullptr;
   if (s.gnss) {
     json["gnss"] = {{"lat", s.gnss->lat_deg},
@@ -174,6 +178,14 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_views_reduced", "gauge", "Views on disk of reduced quality, to be upgraded.",
         AsDouble(s.views_reduced));
   m.One("omnihdr_buffers_free", "gauge", "Free frame buffers.", AsDouble(s.buffers_free));
+  m.One("omnihdr_config_reloads_total", "counter",
+        "Reloads of the configuration that were applied.", AsDouble(s.reloads));
+  m.One("omnihdr_config_reloads_refused_total", "counter",
+        "Reloads that were refused; the configuration stayed as it was.",
+        AsDouble(s.reloads_refused));
+  m.One("omnihdr_config_restart_needed", "gauge",
+        "Keys of the configuration file that apply at a restart only.",
+        static_cast<double>(s.restart_needed.size()));
   if (s.bracket_steps > 0) {
     m.One("omnihdr_next_exposure_seconds", "gauge", "Exposure of the next trigger.",
           s.exposure.time.seconds());
@@ -273,6 +285,16 @@ std::string StatusForPeople(const Json& s) {
     const std::string problem = link.value("problem", "");
     line("link", fmt::format("{}{}", link.value("name", ""),
                              problem.empty() ? std::string(" works") : ": " + problem));
+  }
+  if (const Json config = s.value("config", Json()); config.is_object()) {
+    if (const std::string error = config.value("error", ""); !error.empty()) {
+      line("reload", "refused: " + error);
+    }
+    std::string keys;
+    for (const Json& key : config.value("restart_needed", Json::array())) {
+      keys += (keys.empty() ? "" : ", ") + key.get<std::string>();
+    }
+    if (!keys.empty()) line("restart", "needed for " + keys);
   }
   line("daemon", fmt::format("version {}, up {:.0f} s", s.at("version").get<std::string>(),
                              s.at("uptime_s").get<double>()));

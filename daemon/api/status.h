@@ -57,6 +57,10 @@ struct StatusReport {
   std::optional<GnssFix> gnss;
   std::optional<double> minutes_left;                     // until the storage is full
   std::vector<std::pair<std::string, LinkReport>> links;  // connections to the vehicle, by name
+  std::uint64_t reloads = 0;                              // of the configuration, this run
+  std::uint64_t reloads_refused = 0;
+  std::string reload_error;                 // why the last one was refused; empty when it was not
+  std::vector<std::string> restart_needed;  // keys whose value in the file is not in force
   std::uint64_t buffers_free = 0;
   std::uint64_t buffers = 0;
 };

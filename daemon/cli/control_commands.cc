@@ -146,6 +146,17 @@ Result<int> Watch(const ControlArguments& arguments) {
   }
 }
 
+std::string ReloadText(const Json& answer) {
+  std::string text;
+  for (const Json& change : answer.value("changes", Json::array())) {
+    text += fmt::format("{}: {} -> {} ({})\n", change.value("key", ""), change.value("old", ""),
+                        change.value("new", ""), change.value("applies", ""));
+  }
+  if (text.empty()) return "nothing has changed";
+  text.pop_back();
+  return text;
+}
+
 Result<int> Stop(const ControlArguments& arguments) {
   const SteadyTime begin = std::chrono::steady_clock::now();
   ApiClient client(arguments.socket);
@@ -207,6 +218,8 @@ void AddControlCommands(CLI::App& app, CommandRun& run) {
       [](const ControlArguments& a) {
         return Command(a, "/v1/finish", [](const Json&) { return std::string("ending"); });
       });
+  add("reload", "Read the configuration again; what is wrong with it is refused whole",
+      [](const ControlArguments& a) { return Command(a, "/v1/reload", ReloadText); });
   CLI::App* stop = add("stop", "End the session, finish its views, and stop the daemon", Stop);
   stop->add_flag("--leave-open", arguments->leave_open,
                  "stop at once and leave the session open: the next start goes on with it");

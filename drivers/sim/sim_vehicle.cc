@@ -77,6 +77,16 @@ Status DistanceTrigger::Start() {
   return {};
 }
 
+Status DistanceTrigger::SetDistance(double distance_m) {
+  DistanceTriggerOptions options = options_;
+  options.distance_m = distance_m;
+  OMNIHDR_TRY(options.Validate());
+  const double odometer = vehicle_->OdometerMetres(clock_.Now()).value_or(0.0);
+  options_ = options;
+  next_ = static_cast<std::uint64_t>(std::ceil(odometer / distance_m - 1e-9));
+  return {};
+}
+
 void DistanceTrigger::Stop() {
   if (!started_) return;
   started_ = false;

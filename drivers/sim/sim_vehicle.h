@@ -56,13 +56,15 @@ class DistanceTrigger final : public TriggerSource {
   Status Start() override;
   void Stop() override;
   Result<std::optional<TriggerEvent>> Poll() override;
+  // The distance between marks, counted from where the vehicle is.
+  Status SetDistance(double distance_m);
   std::optional<HostTime> NextDeadline() const override;
   bool exhausted() const override;
 
  private:
   double NextMark() const { return static_cast<double>(next_) * options_.distance_m; }
 
-  const DistanceTriggerOptions options_;
+  DistanceTriggerOptions options_;
   const std::shared_ptr<SimVehicle> vehicle_;
   const Clock& clock_;
   bool started_ = false;

@@ -53,6 +53,18 @@ void OdometerTrigger::Stop() {
   counting_since_.reset();
 }
 
+Status OdometerTrigger::SetDistance(double distance_m) {
+  OdometerTriggerOptions options = options_;
+  options.distance_m = distance_m;
+  OMNIHDR_TRY(options.Validate());
+  options_ = options;
+  // Marks of the old distance have no numbers in the new one.
+  counted_before_ = false;
+  counting_since_.reset();
+  if (fd_.valid()) Synchronise();
+  return {};
+}
+
 void OdometerTrigger::Synchronise() {
   const HostTime now = clock_.Now();
   const std::optional<double> reading = odometer_->OdometerMetres(now);

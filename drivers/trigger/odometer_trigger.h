@@ -30,6 +30,8 @@ class OdometerTrigger final : public TriggerSource {
   Status Start() override;
   void Stop() override;
   Result<std::optional<TriggerEvent>> Poll() override;
+  // The distance between marks, counted from where the vehicle is.
+  Status SetDistance(double distance_m);
   int fd() const override { return fd_.get(); }
   std::optional<HostTime> NextDeadline() const override;
 
@@ -37,7 +39,7 @@ class OdometerTrigger final : public TriggerSource {
   double NextMark() const { return static_cast<double>(next_) * options_.distance_m; }
   void Synchronise();
 
-  const OdometerTriggerOptions options_;
+  OdometerTriggerOptions options_;
   const std::shared_ptr<Odometer> odometer_;
   const Clock& clock_;
   Fd fd_;

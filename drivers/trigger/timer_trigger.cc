@@ -14,6 +14,32 @@ Status TimerTriggerOptions::Validate() const {
   return Fail(ErrorKind::kConfig, "interval_s: {}: expected 0.001 to 86400", interval_s);
 }
 
+Status TimerTrigger::Arm(int fd, HostTime first, Nanoseconds interval) const {
+  const auto to_timespec = [](std::int64_t ns) {
+    return timespec{static_cast<time_t>(ns / 1'000'000'000), static_cast<long>(ns % 1'000'000'000)};
+  };
+  const itimerspec spec{to_timespec(interval.count()), to_timespec(first.ns())};
+  if (timerfd_settime(fd, TFD_TIMER_ABSTIME, &spec, nullptr) != 0) {
+    return FailErrno(ErrorKind::kSystem, "timer trigger: timerfd_settime", errno);
+  }
+  return {};
+}
+
+Status TimerTrigger::SetInterval(double interval_s) {
+  TimerTriggerOptions options = options_;
+  options.interval_s = interval_s;
+  OMNIHDR_TRY(options.Validate());
+  if (fd_.valid()) {
+    const Nanoseconds interval(static_cast<std::int64_t>(std::llround(interval_s * 1e9)));
+    const HostTime first = std::max(SystemClock().Now(), next_ - interval_ + interval);
+    OMNIHDR_TRY(Arm(fd_.get(), first, interval));
+    next_ = first;
+    interval_ = interval;
+  }
+  options_ = options;
+  return {};
+}
+
 Status TimerTrigger::Start() {
   OMNIHDR_TRY(options_.Validate());
   if (fd_.valid() || exhausted()) return {};
@@ -21,13 +47,7 @@ Status TimerTrigger::Start() {
   if (!fd.valid()) return FailErrno(ErrorKind::kSystem, "timer trigger: timerfd_create", errno);
   interval_ = Nanoseconds(static_cast<std::int64_t>(std::llround(options_.interval_s * 1e9)));
   next_ = SystemClock().Now();
-  const auto to_timespec = [](std::int64_t ns) {
-    return timespec{static_cast<time_t>(ns / 1'000'000'000), static_cast<long>(ns % 1'000'000'000)};
-  };
-  const itimerspec spec{to_timespec(interval_.count()), to_timespec(next_.ns())};
-  if (timerfd_settime(fd.get(), TFD_TIMER_ABSTIME, &spec, nullptr) != 0) {
-    return FailErrno(ErrorKind::kSystem, "timer trigger: timerfd_settime", errno);
-  }
+  OMNIHDR_TRY(Arm(fd.get(), next_, interval_));
   fd_ = std::move(fd);
   return {};
 }

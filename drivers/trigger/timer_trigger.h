@@ -24,10 +24,15 @@ class TimerTrigger final : public TriggerSource {
   void Stop() override;
   Result<std::optional<TriggerEvent>> Poll() override;
   int fd() const override { return fd_.get(); }
+  // The time from the last event to the next, and between those after it. A running timer keeps
+  // its old interval when this fails.
+  Status SetInterval(double interval_s);
   bool exhausted() const override { return options_.limit > 0 && events_ >= options_.limit; }
 
  private:
-  const TimerTriggerOptions options_;
+  Status Arm(int fd, HostTime first, Nanoseconds interval) const;
+
+  TimerTriggerOptions options_;
   Fd fd_;
   HostTime next_;  // when the oldest expiration not yet read was due
   Nanoseconds interval_{0};

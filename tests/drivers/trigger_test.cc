@@ -29,6 +29,36 @@ bool Readable(int fd, int timeout_ms) {
   return poll(&p, 1, timeout_ms) == 1 && (p.revents & POLLIN) != 0;
 }
 
+TEST(DistanceTrigger, AnotherDistanceCountsFromWhereTheVehicleIs) {
+  ManualClock clock;
+  const auto vehicle = std::make_shared<sim::SimVehicle>(sim::VehicleOptions{1.0, 0.0, 0.0}, clock);
+  sim::DistanceTrigger trigger({0.5, 0}, vehicle, clock);
+  ASSERT_TRUE(trigger.Start());
+  clock.Advance(1.1);
+  while (*trigger.Poll()) {
+  }
+  ASSERT_TRUE(trigger.SetDistance(0.2));
+  EXPECT_FALSE(trigger.Poll()->has_value());
+  clock.Advance(0.35);  // 1.45 m
+  EXPECT_NEAR(*trigger.Poll().value()->odometer_m, 1.2, 1e-9);
+  EXPECT_NEAR(*trigger.Poll().value()->odometer_m, 1.4, 1e-9);
+  EXPECT_FALSE(trigger.SetDistance(0.0));
+}
+
+TEST(TimerTrigger, AnotherIntervalCountsFromTheLastEvent) {
+  TimerTrigger trigger({3600.0, 0});
+  ASSERT_TRUE(trigger.Start());
+  ASSERT_TRUE(Readable(trigger.fd(), 5000));
+  const HostTime first = trigger.Poll().value()->time;
+  ASSERT_TRUE(trigger.SetInterval(0.05));
+  ASSERT_TRUE(Readable(trigger.fd(), 5000));
+  const auto second = trigger.Poll().value();
+  ASSERT_TRUE(second);
+  EXPECT_GE(second->time - first, milliseconds(50));
+  EXPECT_LT(second->time - first, std::chrono::seconds(60));
+  EXPECT_FALSE(trigger.SetInterval(0.0));
+}
+
 TEST(DistanceTrigger, AnEventComesAtEveryMarkWithItsTimeAndPlaceHoweverLateItIsPolled) {
   ManualClock clock;
   const auto vehicle = std::make_shared<sim::SimVehicle>(sim::VehicleOptions{2.0, 0.0, 0.0}, clock);

@@ -203,7 +203,7 @@ class Systemd(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             # Programs and manual pages need not be installed here.
             text = (SYSTEMD / "omnihdrd.service").read_text(encoding="utf-8")
-            text = re.sub(r"(?m)^ExecStart=\S+", "ExecStart=/bin/true", text)
+            text = re.sub(r"(?m)^(ExecStart|ExecReload)=\S+", r"\1=/bin/true", text)
             text = re.sub(r"(?m)^Documentation=.*\n", "", text)
             unit = pathlib.Path(folder, "omnihdrd.service")
             unit.write_text(text, encoding="utf-8")

@@ -377,5 +377,24 @@ RC_GTEST_PROP(CaptureController, EveryTriggerLeavesExactlyOneLineInOrder, ()) {
   RC_ASSERT(held + bench.sink.free_buffers == 3U);
 }
 
+TEST(CaptureController, AnotherBracketHoldsFromTheNextTriggerAndInThePhaseOfItsNumber) {
+  Bench bench;
+  bench.Trigger();
+  BracketOptions options;
+  options.exposures = {ExposureTime::Seconds(0.5), ExposureTime::Seconds(0.25)};
+  ASSERT_TRUE(bench.controller.SetPlan(BracketPlan::Make(options, {}).value()));
+  bench.Trigger();
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  bench.controller.OnFrame(FrameFor(bench.commanded[1]));
+  ASSERT_EQ(bench.sink.lines.size(), 2U);
+  EXPECT_DOUBLE_EQ(bench.record(0).exposure.time.seconds(), 0.001);
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kOk);
+  EXPECT_DOUBLE_EQ(bench.record(1).exposure.time.seconds(), 0.25);
+  options.frames_per_position = 2;
+  const Status refused = bench.controller.SetPlan(BracketPlan::Make(options, {}).value());
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("frames_per_position: 2, expected 1"), std::string::npos);
+}
+
 }  // namespace
 }  // namespace omnihdr::capture_controller_test

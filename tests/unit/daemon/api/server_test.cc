@@ -37,6 +37,7 @@ class FakeBackend final : public ApiBackend {
   ApiReply Stop(bool leave_session_open) override {
     return {200, {{"left_open", leave_session_open}}};
   }
+  ApiReply Reload() override { return ApiReply::Refused(422, "c.toml:1: log.level: 7"); }
   std::atomic<bool> busy = false;
   std::function<void()> on_status;
 };
@@ -119,6 +120,14 @@ TEST_F(Server, ARefusalComesWithItsReason) {
   backend_.busy = true;
   EXPECT_EQ(client.Get("/v1/status").error().kind, ErrorKind::kTemporary);
   EXPECT_EQ(client.Get("/metrics").error().message, "the main loop did not answer");
+}
+
+TEST_F(Server, ARefusedConfigurationIsAnErrorOfTheConfiguration) {
+  const auto server = Listen();
+  const auto refused = ApiClient(options_.socket).Post("/v1/reload");
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().kind, ErrorKind::kConfig);
+  EXPECT_EQ(refused.error().message, "c.toml:1: log.level: 7");
 }
 
 TEST_F(Server, WhatIsNotThereIsRefusedInJson) {
