@@ -5,7 +5,13 @@
 #include <string>
 #include <utility>
 
+#include "drivers/iidc/settings.h"
+#include "drivers/iidc/usb_link.h"
+#include "drivers/usb/libusb_bus.h"
+#include "drivers/usb/recording.h"
+#include "drivers/v4l2/kernel_device.h"
 #include "drivers/v4l2/rig_camera.h"
+#include "drivers/v4l2/settings.h"
 
 namespace omnihdr {
 
@@ -47,6 +53,54 @@ Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
   const auto& replay_options = std::get<ReplayOptions>(options);
   OMNIHDR_TRY(replay_options.Validate().Context("camera replay"));
   return std::unique_ptr<Camera>(std::make_unique<ReplayCamera>(replay_options));
+}
+
+Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
+    const CameraOptions& options) {
+  if (const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
+    const auto finder = iidc::MakeUsbFinder(usb::MakeLibusbBus());
+    std::vector<std::unique_ptr<CameraSettings>> settings;
+    OMNIHDR_ASSIGN(auto made, iidc::OpenSettings(*finder, iidc_options->id));
+    settings.push_back(std::move(made));
+    return settings;
+  }
+  if (const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options)) {
+    OMNIHDR_TRY(v4l2::CheckDevices(*v4l2_options).Context("camera v4l2"));
+    return v4l2::OpenSettings(*v4l2::MakeKernelSystem(), *v4l2_options);
+  }
+  return Fail(ErrorKind::kUsage,
+              "camera.driver: \"{}\": expected \"iidc\" or \"v4l2\", whose "
+              "cameras have settings",
+              CameraDrivers()[options.index()].name);
+}
+
+namespace {
+
+Result<iidc::IidcCameraOptions> Recordable(const CameraOptions& options) {
+  const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options);
+  if (iidc_options != nullptr) return *iidc_options;
+  return Fail(ErrorKind::kUsage,
+              "camera.driver: \"{}\": expected \"iidc\": the traffic of others "
+              "cannot be recorded",
+              CameraDrivers()[options.index()].name);
+}
+
+}  // namespace
+
+Status RecordTransport(CameraOptions& options, const std::filesystem::path& file) {
+  OMNIHDR_ASSIGN(iidc::IidcCameraOptions recorded, Recordable(options));
+  recorded.usb_recording = file.string();
+  options = std::move(recorded);
+  return {};
+}
+
+Result<std::unique_ptr<Camera>> MakeReplayedCamera(const CameraOptions& options,
+                                                   const std::filesystem::path& file) {
+  OMNIHDR_ASSIGN(iidc::IidcCameraOptions replayed, Recordable(options));
+  OMNIHDR_TRY(replayed.Validate().Context("camera iidc"));
+  OMNIHDR_ASSIGN(std::unique_ptr<usb::Bus> bus, usb::MakeReplayingBus(file));
+  return std::unique_ptr<Camera>(
+      std::make_unique<iidc::IidcCamera>(std::move(replayed), iidc::MakeUsbFinder(std::move(bus))));
 }
 
 }  // namespace omnihdr

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <memory>
 #include <string_view>
 #include <variant>
@@ -7,6 +8,7 @@
 
 #include "core/base/result.h"
 #include "core/ports/camera.h"
+#include "core/ports/camera_settings.h"
 #include "drivers/iidc/iidc_camera.h"
 #include "drivers/replay/replay.h"
 #include "drivers/sim/sim_camera.h"
@@ -33,5 +35,18 @@ Result<CameraOptions> DefaultCameraOptions(std::string_view driver);
 // camera it belongs to: keep it as shared_ptr and use std::dynamic_pointer_cast<const
 // ReplayCamera>.)
 Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options);
+
+// The settings of the camera, or of each camera of a rig, to be read and set by hand while nobody
+// uses it. kUsage for drivers whose cameras have none.
+Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
+    const CameraOptions& options);
+
+// Makes the options' camera write all that passes between it and this machine into `file`
+// (drivers/usb/recording.h). kUsage for drivers that cannot.
+Status RecordTransport(CameraOptions& options, const std::filesystem::path& file);
+// A camera that such a recording plays, not yet open: asked the same, it answers the same. kData
+// when the file is none.
+Result<std::unique_ptr<Camera>> MakeReplayedCamera(const CameraOptions& options,
+                                                   const std::filesystem::path& file);
 
 }  // namespace omnihdr

@@ -35,6 +35,9 @@ struct CameraArguments {
   std::string out;
   CameraTrialOptions trial;
   bool unplug = false;
+  std::string record;
+  std::string replay;
+  std::vector<std::string> settings;  // KEY=VALUE
 };
 
 // --- list
@@ -99,7 +102,13 @@ struct OpenCamera {
 Result<OpenCamera> Open(const CameraArguments& arguments) {
   OpenCamera open;
   OMNIHDR_ASSIGN(open.config, ConfigOrError(LoadConfig(arguments.config)));
-  OMNIHDR_ASSIGN(open.camera, MakeCamera(MakeCameraOptions(open.config)));
+  CameraOptions options = MakeCameraOptions(open.config);
+  if (!arguments.replay.empty()) {
+    OMNIHDR_ASSIGN(open.camera, MakeReplayedCamera(options, arguments.replay));
+  } else {
+    if (!arguments.record.empty()) OMNIHDR_TRY(RecordTransport(options, arguments.record));
+    OMNIHDR_ASSIGN(open.camera, MakeCamera(options));
+  }
   OMNIHDR_ASSIGN(open.info, open.camera->Open());
   return open;
 }
@@ -226,6 +235,71 @@ Result<int> Test(const CameraArguments& arguments) {
   return failed == 0 ? 0 : 1;
 }
 
+// --- set
+
+Status ListSettings(const CameraArguments& arguments,
+                    const std::vector<std::unique_ptr<CameraSettings>>& cameras) {
+  Json all = Json::array();
+  for (const auto& camera : cameras) {
+    OMNIHDR_ASSIGN(const std::vector<CameraSetting> settings, camera->List());
+    if (!arguments.json) fmt::print("{}\n", camera->camera());
+    Json listed = Json::array();
+    for (const CameraSetting& each : settings) {
+      listed.push_back({{"name", each.name}, {"value", each.value}, {"allowed", each.allowed}});
+      if (!each.note.empty()) listed.back()["note"] = each.note;
+      if (arguments.json) continue;
+      fmt::print("  {:<32} {:<16} {}{}\n", each.name, each.value, each.allowed,
+                 each.note.empty() ? "" : " (" + each.note + ")");
+    }
+    all.push_back({{"camera", camera->camera()}, {"settings", std::move(listed)}});
+  }
+  if (arguments.json) fmt::print("{}\n", all.dump(2));
+  return {};
+}
+
+Result<int> Set(const CameraArguments& arguments) {
+  OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
+  std::vector<std::pair<std::string, std::string>> wanted;
+  for (const std::string& word : arguments.settings) {
+    const std::size_t equals = word.find('=');
+    if (equals == std::string::npos || equals == 0) {
+      return Fail(ErrorKind::kUsage, "{}: expected KEY=VALUE", word);
+    }
+    wanted.emplace_back(word.substr(0, equals), word.substr(equals + 1));
+  }
+  OMNIHDR_ASSIGN(const auto cameras, OpenCameraSettings(MakeCameraOptions(config)));
+  if (wanted.empty()) {
+    OMNIHDR_TRY(ListSettings(arguments, cameras));
+    return 0;
+  }
+  Json all = Json::array();
+  int different = 0;
+  for (const auto& camera : cameras) {
+    Json changes = Json::array();
+    if (!arguments.json) fmt::print("{}\n", camera->camera());
+    for (const auto& [name, value] : wanted) {
+      OMNIHDR_ASSIGN(const CameraSettingChange change,
+                     camera->Set(name, value).Context(camera->camera()));
+      different += change.as_asked ? 0 : 1;
+      changes.push_back({{"name", change.name},
+                         {"asked", change.asked},
+                         {"value", change.value},
+                         {"allowed", change.allowed},
+                         {"as_asked", change.as_asked}});
+      if (arguments.json) continue;
+      fmt::print("  {} = {}{}; it takes {}\n", change.name, change.value,
+                 change.as_asked ? "" : ", NOT the " + change.asked + " that was asked for",
+                 change.allowed);
+    }
+    if (!arguments.json) fmt::print("  {}\n", camera->lasting());
+    all.push_back({{"camera", camera->camera()},
+                   {"lasting", camera->lasting()},
+                   {"changes", std::move(changes)}});
+  }
+  if (arguments.json) fmt::print("{}\n", all.dump(2));
+  return different == 0 ? 0 : 1;
+}
+
 }  // namespace
 
 void AddCameraCommand(CLI::App& app, CommandRun& run) {
@@ -245,9 +319,26 @@ void AddCameraCommand(CLI::App& app, CommandRun& run) {
     return sub;
   };
   add("list", "Cameras on this machine, and what to call them in the configuration", List, false);
-  add("info", "Open the configured camera and say what it can do", Info, true);
+  const auto add_transport = [&](CLI::App* sub) {
+    CLI::Option* record = sub->add_option(
+        "--record", arguments->record,
+        "File for all that passes between the camera and this machine (IIDC on USB)");
+    sub->add_option("--replay", arguments->replay,
+                    "Such a file, which takes the camera's place: the same command answers the "
+                    "same")
+        ->excludes(record);
+  };
+  add_transport(add("info", "Open the configured camera and say what it can do", Info, true));
+  CLI::App* set = add("set",
+                      "Set controls of the configured camera and read them back; without any, list "
+                      "them with their limits; 1 when one reads back differently",
+                      Set, true);
+  set->add_option("settings", arguments->settings,
+                  "KEY=VALUE: a V4L2 control; an IIDC feature (a number in its unit, raw:N, off, "
+                  "auto) or register (0x818=0x82000000)");
   CLI::App* grab =
       add("grab", "Take pictures with one exposure; 1 unless each is proved", Grab, true);
+  add_transport(grab);
   grab->add_option("--exposure", arguments->exposure_s, "Seconds")
       ->check(CLI::Range(1e-7, 3600.0))
       ->capture_default_str();
@@ -262,6 +353,7 @@ void AddCameraCommand(CLI::App& app, CommandRun& run) {
                        "Starts and stops, an exposure ladder with proof, triggers as fast as they "
                        "are taken; 1 when something fails",
                        Test, true);
+  add_transport(test);
   test->add_option("--starts", arguments->trial.starts, "Times it is started and stopped")
       ->check(CLI::Range(1, 1000))
       ->capture_default_str();

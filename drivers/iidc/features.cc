@@ -113,6 +113,13 @@ Status Feature::SwitchOff() const {
   return {};
 }
 
+Status Feature::SetAutomatic() const {
+  OMNIHDR_ASSIGN(const std::uint32_t before, ReadRaw());
+  const std::uint32_t quadlet = (before & ~kOnePush) | kPresent | kOn | kAuto;
+  OMNIHDR_TRY(registers_.WriteChecked(offset_, quadlet, kOn | kAuto, name_));
+  return {};
+}
+
 Result<FeatureValue> Feature::SetManualPair(std::uint32_t u, std::uint32_t v) const {
   for (const std::uint32_t value : {u, v}) {
     if (value < inquiry_.minimum || value > inquiry_.maximum) {

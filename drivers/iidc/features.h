@@ -59,6 +59,8 @@ class Feature {
   Result<FeatureValue> SetManual(std::optional<std::uint32_t> value = std::nullopt) const;
   // The pixels untouched by it. Requires inquiry().on_off.
   Status SwitchOff() const;
+  // The camera's own rule. Requires inquiry().automatic.
+  Status SetAutomatic() const;
   // White balance.
   Result<FeatureValue> SetManualPair(std::uint32_t u, std::uint32_t v) const;
   // In the feature's own unit: seconds, dB, ... kConfig when the camera has no absolute values.

@@ -11,6 +11,8 @@ namespace omnihdr::v4l2 {
 namespace {
 
 constexpr std::size_t kMaxGroup = 8;
+constexpr int kMaxControls = 256;
+constexpr std::int64_t kMaxEntries = 64;
 
 // What is switched off, in this order.
 struct Off {
@@ -95,17 +97,11 @@ std::int64_t Control::Nearest(std::int64_t wanted) const {
   return static_cast<std::int64_t>(static_cast<std::uint64_t>(minimum) + down);
 }
 
-Result<std::optional<Control>> Controls::Find(std::uint32_t id) const {
-  v4l2_query_ext_ctrl query{};
-  query.id = id;
-  const int called = device_->Ioctl(VIDIOC_QUERY_EXT_CTRL, &query);
-  if (called == -EINVAL || called == -ENOTTY) return std::optional<Control>();
-  if (called < 0) return FailCall(fmt::format("query control {:#010x}", id), called);
-  if ((query.flags & V4L2_CTRL_FLAG_DISABLED) != 0 || query.id != id) {
-    return std::optional<Control>();
-  }
+namespace {
+
+Control Described(const v4l2_query_ext_ctrl& query) {
   Control control;
-  control.id = id;
+  control.id = query.id;
   control.name = std::string(query.name, strnlen(query.name, sizeof query.name));
   for (char& c : control.name) {
     if (c < 0x20 || c > 0x7E) c = '?';
@@ -116,11 +112,68 @@ Result<std::optional<Control>> Controls::Find(std::uint32_t id) const {
   control.step = static_cast<std::int64_t>(std::clamp<std::uint64_t>(query.step, 1, INT64_MAX));
   control.default_value = query.default_value;
   control.flags = query.flags;
+  return control;
+}
+
+Status CheckRange(const Control& control) {
   if (control.minimum > control.maximum) {
     return Fail(ErrorKind::kProtocol, "{}: range {} to {}: expected a range", Spelled(control),
                 control.minimum, control.maximum);
   }
+  return {};
+}
+
+bool HoldsANumber(const v4l2_query_ext_ctrl& query) {
+  switch (query.type) {
+    case V4L2_CTRL_TYPE_INTEGER:
+    case V4L2_CTRL_TYPE_BOOLEAN:
+    case V4L2_CTRL_TYPE_MENU:
+    case V4L2_CTRL_TYPE_INTEGER_MENU:
+    case V4L2_CTRL_TYPE_BITMASK:
+    case V4L2_CTRL_TYPE_INTEGER64:
+      return (query.flags & (V4L2_CTRL_FLAG_DISABLED | V4L2_CTRL_FLAG_HAS_PAYLOAD |
+                             V4L2_CTRL_FLAG_WRITE_ONLY)) == 0;
+    default:
+      return false;
+  }
+}
+
+}  // namespace
+
+Result<std::optional<Control>> Controls::Find(std::uint32_t id) const {
+  v4l2_query_ext_ctrl query{};
+  query.id = id;
+  const int called = device_->Ioctl(VIDIOC_QUERY_EXT_CTRL, &query);
+  if (called == -EINVAL || called == -ENOTTY) return std::optional<Control>();
+  if (called < 0) return FailCall(fmt::format("query control {:#010x}", id), called);
+  if ((query.flags & V4L2_CTRL_FLAG_DISABLED) != 0 || query.id != id) {
+    return std::optional<Control>();
+  }
+  Control control = Described(query);
+  OMNIHDR_TRY(CheckRange(control));
   return std::optional<Control>(std::move(control));
+}
+
+Result<std::vector<Control>> Controls::List() const {
+  std::vector<Control> controls;
+  std::uint32_t last = 0;
+  for (int i = 0; i < kMaxControls; ++i) {
+    v4l2_query_ext_ctrl query{};
+    query.id = last | V4L2_CTRL_FLAG_NEXT_CTRL;
+    const int called = device_->Ioctl(VIDIOC_QUERY_EXT_CTRL, &query);
+    if (called == -EINVAL || called == -ENOTTY) break;
+    if (called < 0) return FailCall(fmt::format("query the control after {:#010x}", last), called);
+    if (query.id <= last) {
+      return Fail(ErrorKind::kProtocol, "control {:#010x} after {:#010x}: expected a higher number",
+                  query.id, last);
+    }
+    last = query.id;
+    if (!HoldsANumber(query)) continue;
+    Control control = Described(query);
+    OMNIHDR_TRY(CheckRange(control));
+    controls.push_back(std::move(control));
+  }
+  return controls;
 }
 
 Result<std::int64_t> Controls::Get(const Control& control) const {
@@ -181,6 +234,23 @@ bool Controls::HasEntry(const Control& menu, std::int64_t index) const {
   query.id = menu.id;
   query.index = static_cast<std::uint32_t>(index);
   return device_->Ioctl(VIDIOC_QUERYMENU, &query) >= 0;
+}
+
+std::vector<MenuEntry> Controls::Entries(const Control& menu) const {
+  std::vector<MenuEntry> entries;
+  for (std::int64_t i = menu.minimum; i <= menu.maximum && i < menu.minimum + kMaxEntries; ++i) {
+    v4l2_querymenu query{};
+    query.id = menu.id;
+    query.index = static_cast<std::uint32_t>(i);
+    if (device_->Ioctl(VIDIOC_QUERYMENU, &query) < 0) continue;
+    if (menu.type == V4L2_CTRL_TYPE_INTEGER_MENU) {
+      entries.push_back({i, fmt::format("{}", std::int64_t{query.value})});
+      continue;
+    }
+    const char* name = reinterpret_cast<const char*>(query.name);
+    entries.push_back({i, std::string(name, strnlen(name, sizeof query.name))});
+  }
+  return entries;
 }
 
 Result<std::vector<FixedControl>> SwitchOffAutomatic(const Controls& controls,

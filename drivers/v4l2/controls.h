@@ -41,17 +41,25 @@ struct Applied {
   bool clamped() const { return asked != written || written != read; }
 };
 
+struct MenuEntry {
+  std::int64_t index = 0;
+  std::string name;  // of an integer menu: its value
+};
+
 // The controls of a device. Errors name control, value and what was expected.
 class Controls {
  public:
   explicit Controls(V4l2Device& device) : device_(&device) {}
   // Nothing when the device has no such control. One whose range makes no sense is kProtocol.
   Result<std::optional<Control>> Find(std::uint32_t id) const;
+  // All that hold a number, in the driver's order; at most 256.
+  Result<std::vector<Control>> List() const;
   Result<std::int64_t> Get(const Control& control) const;
   // All in one call, so that they act together, and then read back.
   Result<std::vector<Applied>> Set(std::span<const Wanted> wanted) const;
   // Whether a menu has the entry.
   bool HasEntry(const Control& menu, std::int64_t index) const;
+  std::vector<MenuEntry> Entries(const Control& menu) const;
 
  private:
   V4l2Device* device_;

@@ -5,6 +5,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 #include <utility>
 
 #include "drivers/v4l2/pixel_format.h"
@@ -248,7 +249,9 @@ int V4l2CameraModel::WaitForFrame(Session& session, Nanoseconds timeout) {
 }
 
 int V4l2CameraModel::QueryControl(v4l2_query_ext_ctrl& query) const {
-  const auto found = controls_.find(query.id);
+  const bool next = (query.id & V4L2_CTRL_FLAG_NEXT_CTRL) != 0;
+  const auto found =
+      next ? controls_.upper_bound(query.id & ~V4L2_CTRL_FLAG_NEXT_CTRL) : controls_.find(query.id);
   if (found == controls_.end()) return -EINVAL;
   query = found->second;
   return 0;
@@ -409,8 +412,17 @@ int V4l2CameraModel::Ioctl(Session& session, unsigned long request, void* argume
     case VIDIOC_QUERY_EXT_CTRL:
       return QueryControl(*static_cast<v4l2_query_ext_ctrl*>(argument));
     case VIDIOC_QUERYMENU: {
-      const auto& query = *static_cast<v4l2_querymenu*>(argument);
+      auto& query = *static_cast<v4l2_querymenu*>(argument);
+      if (query.id == V4L2_CID_POWER_LINE_FREQUENCY) {
+        constexpr const char* kNames[] = {"Disabled", "50 Hz", "60 Hz"};
+        if (query.index >= std::size(kNames)) return -EINVAL;
+        std::strncpy(reinterpret_cast<char*>(query.name), kNames[query.index],
+                     sizeof query.name - 1);
+      }
       if (query.id != V4L2_CID_EXPOSURE_AUTO) return 0;
+      std::strncpy(reinterpret_cast<char*>(query.name),
+                   query.index == V4L2_EXPOSURE_MANUAL ? "Manual Mode" : "Aperture Priority Mode",
+                   sizeof query.name - 1);
       // As many cameras have it: manual and aperture priority only.
       const bool offered = (query.index == V4L2_EXPOSURE_MANUAL && options_.has_manual_mode) ||
                            query.index == V4L2_EXPOSURE_APERTURE_PRIORITY;

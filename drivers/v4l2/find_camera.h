@@ -1,0 +1,24 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "core/base/result.h"
+#include "drivers/v4l2/device.h"
+
+namespace omnihdr::v4l2 {
+
+// A camera's node, opened, and what it says of itself.
+struct FoundCamera {
+  V4l2Node node;
+  std::unique_ptr<V4l2Device> device;
+  std::string driver;
+  std::string card;
+  std::string bus;
+};
+
+// The camera of that path, name or serial number; "" = the only one there. kUnavailable: there is
+// none, or more than one; the message names what is there.
+Result<FoundCamera> FindCamera(V4l2System& system, const std::string& name);
+
+}  // namespace omnihdr::v4l2
