@@ -38,6 +38,7 @@ void AddImportCommand(CLI::App& app, CommandRun& run);
 void AddCameraCommand(CLI::App& app, CommandRun& run);  // camera list, info, grab, test
 void AddVerifyCommand(CLI::App& app, CommandRun& run);
 void AddRepairCommand(CLI::App& app, CommandRun& run);
+void AddManualCommands(CLI::App& app, CommandRun& run);  // manual, completion
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

@@ -35,6 +35,7 @@ constexpr std::array kCommands = {
     AddStitchCommand,
     AddImportCommand,
     AddCameraCommand,
+    AddManualCommands,
 };
 // clang-format on
 
