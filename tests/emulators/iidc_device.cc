@@ -33,6 +33,8 @@ constexpr std::uint32_t kAbsolute = 1U << 30;
 constexpr std::uint32_t kOn = 1U << 25;
 constexpr std::uint32_t kAuto = 1U << 24;
 constexpr std::uint32_t kStepsPerOctave = 200;
+constexpr std::size_t kMostTriggerTimes = 100'000;
+constexpr std::size_t kMostPictures = 6;  // kept
 
 std::uint32_t FromFloat(double value) {
   return std::bit_cast<std::uint32_t>(static_cast<float>(value));
@@ -368,6 +370,7 @@ void IidcDevice::Trigger() {
   const auto exposed = Nanoseconds(std::llround(ShutterSeconds(setting.shutter) * 1e9));
   const auto readout = Nanoseconds(std::llround(options_.readout_s * 1e9));
   busy_until_ = now + exposed + readout;
+  if (trigger_times_.size() < kMostTriggerTimes) trigger_times_.push_back(now);
   Sending frame;
   frame.bytes = TakePicture(setting, now);
   frame.ready = busy_until_;
@@ -410,28 +413,51 @@ std::uint8_t IidcDevice::PixelAt(int x, int y, double exposure_s, double gain_db
 }
 
 std::uint8_t IidcDevice::Value(int x, int y, double exposure) const {
-  const double value = RadianceAt(x, y) * exposure;
-  return static_cast<std::uint8_t>(std::lround(std::min(255.0, value)));
+  double value = RadianceAt(x, y) * exposure;
+  if (options_.grain > 0) {
+    std::uint32_t mixed =
+        static_cast<std::uint32_t>(y) * 73856093U ^ static_cast<std::uint32_t>(x) * 19349663U;
+    mixed = (mixed ^ mixed >> 15) * 2246822519U;
+    mixed ^= mixed >> 13;
+    const auto range = static_cast<std::uint32_t>(2 * options_.grain + 1);
+    value += static_cast<double>(mixed % range) - options_.grain;
+  }
+  return static_cast<std::uint8_t>(std::lround(std::clamp(value, 0.0, 255.0)));
 }
 
-std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime start) {
+std::vector<std::byte> IidcDevice::Pixels(const Setting& setting) {
   const std::uint32_t size = Format7(0x00C);
   const std::uint32_t place = Format7(0x008);
+  const std::size_t packet = std::max(1U, Format7(0x044) >> 16);
+  const std::size_t count = std::size_t{Format7(0x048)} * packet;
+  const std::array<std::uint32_t, 5> key = {size, place, setting.shutter, setting.gain,
+                                            static_cast<std::uint32_t>(count)};
+  if (const auto found = pictures_.find(key); found != pictures_.end()) return found->second;
   const int width = static_cast<int>(size >> 16);
   const int height = static_cast<int>(size & 0xFFFF);
-  const double seconds = ShutterSeconds(setting.shutter);
-  const double decibels = GainDecibels(setting.gain);
-  const double exposure = seconds * std::pow(10.0, decibels / 20.0);
-  const std::size_t packet = std::max(1U, Format7(0x044) >> 16);
-  std::vector<std::byte> bytes(std::size_t{Format7(0x048)} * packet);
-  const bool compressed = registers_[0x604] >> 29 == kCompressedMode;
+  const double exposure =
+      ShutterSeconds(setting.shutter) * std::pow(10.0, GainDecibels(setting.gain) / 20.0);
+  std::vector<std::byte> bytes(count);
   std::size_t at = 0;
-  for (int y = 0; y < height && !compressed; ++y) {
+  for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width && at < bytes.size(); ++x) {
       bytes[at++] = static_cast<std::byte>(
           Value(x + static_cast<int>(place >> 16), y + static_cast<int>(place & 0xFFFF), exposure));
     }
   }
+  if (pictures_.size() >= kMostPictures) pictures_.clear();
+  pictures_.emplace(key, bytes);
+  return bytes;
+}
+
+std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime start) {
+  const std::uint32_t place = Format7(0x008);
+  const double seconds = ShutterSeconds(setting.shutter);
+  const double decibels = GainDecibels(setting.gain);
+  const std::size_t packet = std::max(1U, Format7(0x044) >> 16);
+  const bool compressed = registers_[0x604] >> 29 == kCompressedMode;
+  std::vector<std::byte> bytes =
+      compressed ? std::vector<std::byte>(std::size_t{Format7(0x048)} * packet) : Pixels(setting);
   const std::int64_t since =
       (start - power_up_).count() + std::int64_t{options_.first_cycle_s} * 1'000'000'000;
   const std::int64_t cycles = since % 1'000'000'000 / 125'000;
@@ -452,7 +478,7 @@ std::vector<std::byte> IidcDevice::TakePicture(const Setting& setting, HostTime 
     data.resize(bytes.size());
     return data;
   }
-  at = 0;
+  std::size_t at = 0;
   for (int item = 0; item < 10; ++item) {
     if ((registers_[kFrameInfo] & 1U << item) == 0 || at + 4 > bytes.size()) continue;
     PutWord(bytes, at, words[item]);
@@ -534,6 +560,11 @@ bool IidcDevice::plugged_in() const {
 std::uint32_t IidcDevice::Register(std::uint32_t offset) const {
   std::lock_guard lock(mutex_);
   return ReadOne(kBase + offset).value_or(0);
+}
+
+std::vector<HostTime> IidcDevice::trigger_times() const {
+  std::lock_guard lock(mutex_);
+  return trigger_times_;
 }
 
 bool IidcDevice::stall_pending() const {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -32,6 +33,9 @@ struct IidcDeviceOptions {
   bool handshake_never_ends = false;
   bool coarse_words = false;  // sixteen shutter settings share a value of register and frame
   bool keeps_gamma = false;   // a gamma that cannot be switched off by writing
+  // Code values by which pixels differ from the smooth scene, the same in every picture: what makes
+  // a file of them as long as a real one's.
+  int grain = 0;
 };
 
 // A device model of an IIDC camera, free of any transport: registers, configuration ROM, Format7,
@@ -84,6 +88,8 @@ class IidcDevice {
   std::uint32_t Register(std::uint32_t offset) const;  // as it is, by offset from the command base
   int triggers_refused() const;                        // while the sensor was busy
   bool stall_pending() const;                          // Faults::stall_after has not come yet
+  // When the triggers that were taken came, the first 100,000 of them.
+  std::vector<HostTime> trigger_times() const;
 
   // Shutter and gain as the value registers hold them.
   static double ShutterSeconds(std::uint32_t raw);
@@ -116,6 +122,7 @@ class IidcDevice {
   std::uint32_t ShutterWord(std::uint32_t raw) const;
   std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
   std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected
+  std::vector<std::byte> Pixels(const Setting& setting);
   std::vector<std::byte> Compressed(double seconds, double decibels,
                                     std::span<const std::uint32_t> words);
   void UpdateTotals();
@@ -134,6 +141,9 @@ class IidcDevice {
   HostTime busy_until_;
   std::uint32_t counter_ = 0;
   int triggers_refused_ = 0;
+  std::vector<HostTime> trigger_times_;
+  // Pictures without their words, by what they depend on: a scene that stands still.
+  std::map<std::array<std::uint32_t, 5>, std::vector<std::byte>> pictures_;
 };
 
 }  // namespace omnihdr::emulators

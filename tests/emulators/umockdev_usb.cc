@@ -260,6 +260,8 @@ UmockdevUsb::UmockdevUsb(std::shared_ptr<IidcDevice> device)
     : impl_(std::make_unique<Impl>(std::move(device))) {}
 UmockdevUsb::~UmockdevUsb() = default;
 
+void* UmockdevUsb::testbed() const { return impl_->testbed.get(); }
+
 void UmockdevUsb::Unplug() {
   impl_->device->Unplug();
   impl_->Remove();

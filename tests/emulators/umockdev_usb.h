@@ -19,6 +19,8 @@ class UmockdevUsb {
   void Unplug();
   // At the same port, with another address.
   void PlugIn();
+  // umockdev's own, for other devices beside this one: there is one for a process.
+  void* testbed() const;
 
  private:
   struct Impl;
