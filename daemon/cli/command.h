@@ -39,6 +39,8 @@ void AddCameraCommand(CLI::App& app, CommandRun& run);  // camera list, info, gr
 void AddVerifyCommand(CLI::App& app, CommandRun& run);
 void AddRepairCommand(CLI::App& app, CommandRun& run);
 void AddManualCommands(CLI::App& app, CommandRun& run);  // manual, completion
+void AddDoctorCommand(CLI::App& app, CommandRun& run);
+void AddSupportBundleCommand(CLI::App& app, CommandRun& run);
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

@@ -36,6 +36,8 @@ constexpr std::array kCommands = {
     AddImportCommand,
     AddCameraCommand,
     AddManualCommands,
+    AddDoctorCommand,
+    AddSupportBundleCommand,
 };
 // clang-format on
 

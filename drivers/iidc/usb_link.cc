@@ -170,6 +170,11 @@ Result<usb::ControlSetup> SetupForAddress(std::uint64_t address) {
   return setup;
 }
 
+std::size_t UsbBytesInFlight(std::size_t frame_bytes) {
+  constexpr std::size_t kLargestPacket = 1024;
+  return std::min(frame_bytes + kLargestPacket, kMaxTransferBytes) * kTransfers;
+}
+
 std::unique_ptr<Link> MakeUsbLink(std::unique_ptr<usb::Device> device) {
   return std::make_unique<UsbLink>(std::move(device));
 }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <memory>
 
 #include "drivers/iidc/register_bus.h"
@@ -14,6 +15,9 @@ Result<usb::ControlSetup> SetupForAddress(std::uint64_t address);
 
 // An IIDC camera on USB.
 std::unique_ptr<Link> MakeUsbLink(std::unique_ptr<usb::Device> device);
+
+// Bytes of USB buffers that a camera's stream has in flight, at most.
+std::size_t UsbBytesInFlight(std::size_t frame_bytes);
 
 // The Point Grey cameras on a bus.
 std::unique_ptr<LinkFinder> MakeUsbFinder(std::shared_ptr<usb::Bus> bus);
