@@ -155,6 +155,29 @@ bool HasUsbVideo(const Machine& machine) {
   });
 }
 
+// One camera by its node, its lasting name or its serial number.
+void CheckVideoDevice(Examination& e, v4l2::V4l2System& system, const std::string& device) {
+  if (device.front() == '/') {
+    CheckNode(e, "camera", device, "video", "omnihdr camera list   # names that are there");
+    return;
+  }
+  const std::vector<v4l2::V4l2Node> list = system.List();
+  const auto it = std::find_if(list.begin(), list.end(), [&device](const v4l2::V4l2Node& node) {
+    return node.serial == device ||
+           std::find(node.names.begin(), node.names.end(), device) != node.names.end();
+  });
+  if (it == list.end()) {
+    e.Problem("camera",
+              fmt::format("no video device has the name or serial number \"{}\" "
+                          "(camera.v4l2.device)",
+                          device),
+              "omnihdr camera list   # names that are there");
+    return;
+  }
+  CheckNode(e, "camera", "/" + fs::path(it->path).lexically_relative(e.machine.root).string(),
+            "video", "sudo modprobe uvcvideo; sudo dmesg | tail");
+}
+
 void CheckV4l2Camera(Examination& e) {
   const v4l2::V4l2CameraOptions& options = e.config.camera.v4l2;
   const auto system = v4l2::MakeKernelSystem({e.machine.At("/dev"), e.machine.At("/sys")});
@@ -179,7 +202,9 @@ void CheckV4l2Camera(Examination& e) {
     }
     return;
   }
-  if (options.device.empty()) {
+  std::vector<std::string> wanted = options.devices;
+  if (wanted.empty() && !options.device.empty()) wanted = {options.device};
+  if (wanted.empty()) {
     if (nodes.size() > 1) {
       e.Problem("camera",
                 fmt::format("{} video devices ({}), and camera.v4l2.device does not say which",
@@ -187,27 +212,9 @@ void CheckV4l2Camera(Examination& e) {
                 "omnihdr camera list   # then set camera.v4l2.device");
       return;
     }
-    CheckNode(e, "camera", nodes.front(), "video", module);
-  } else if (options.device.front() == '/') {
-    CheckNode(e, "camera", options.device, "video", "omnihdr camera list   # names that are there");
-  } else {
-    const auto is_it = [&](const v4l2::V4l2Node& node) {
-      return node.serial == options.device ||
-             std::find(node.names.begin(), node.names.end(), options.device) != node.names.end();
-    };
-    const std::vector<v4l2::V4l2Node> list = system->List();
-    const auto it = std::find_if(list.begin(), list.end(), is_it);
-    if (it == list.end()) {
-      e.Problem(
-          "camera",
-          fmt::format("no video device has the name or serial number \"{}\" (camera.v4l2.device)",
-                      options.device),
-          "omnihdr camera list   # names that are there");
-    } else {
-      CheckNode(e, "camera", "/" + fs::path(it->path).lexically_relative(e.machine.root).string(),
-                "video", module);
-    }
+    wanted = {nodes.front()};
   }
+  for (const std::string& device : wanted) CheckVideoDevice(e, *system, device);
   if (!options.controls_device.empty()) {
     CheckNode(e, "camera-controls", options.controls_device, "video",
               "ls /dev/v4l-subdev*; sudo dmesg | tail");
