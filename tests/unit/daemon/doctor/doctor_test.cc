@@ -269,9 +269,9 @@ TEST_F(Doctor, EveryCameraOfARigIsLookedAt) {
   PutVideo();
   fs::create_directories(machine_.At("/sys/class/video4linux/video2"));
   PutNode("/dev/video2", 0, kVideo, 0600);
-  SetConfig(fmt::format(
-      "[camera]\ndriver = \"v4l2\"\n[camera.v4l2]\nrig = \"{}\"\ndevices = [{}]\n", Rig(),
-      R"("/dev/video0", "/dev/video2", "/dev/video5", "SN-1", "SN-2", "SN-3")"));
+  SetConfig(
+      fmt::format("[camera]\ndriver = \"v4l2\"\n[camera.v4l2]\nrig = \"{}\"\ndevices = [{}]\n",
+                  Rig(), R"("/dev/video0", "/dev/video2", "/dev/video5", "SN-1", "SN-2", "SN-3")"));
   const std::vector<Diagnosis> found = Examine();
   EXPECT_THAT(found, Found(Verdict::kGood, "camera", "/dev/video0")) << Told(found);
   EXPECT_THAT(found, Problem("camera", "/dev/video2 is crw-------", "usermod -aG video"));
