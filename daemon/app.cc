@@ -82,6 +82,7 @@ Status App::Run() {
   context.last_odometer_m = last_odometer_m_;
   context.command = [this](ApplianceCommand command) { return Command(command); };
   OMNIHDR_ASSIGN(parts_, make_parts_(context));
+  OMNIHDR_TRY(MakeController());
   OMNIHDR_TRY(StartLoop());
   ApiServerOptions api;
   api.socket = config_.api.socket;
@@ -129,13 +130,28 @@ Status App::ResumeSession() {
   return {};
 }
 
+// Before there is a camera, so that triggers are numbered and get their lines from the first one
+// on; without a session the lines wait in the recorder.
+Status App::MakeController() {
+  OMNIHDR_ASSIGN(BracketPlan plan, BracketPlan::Make(MakeBracketOptions(config_.bracket), {}));
+  CaptureOptions options;
+  options.frame_timeout = Nanoseconds(std::llround(config_.camera.frame_timeout_s * 1e9));
+  options.tolerance.relative = config_.camera.exposure_tolerance;
+  controller_ = std::make_unique<CaptureController>(
+      std::move(plan), session_ ? session_->info.camera : CameraDescription{}, options,
+      TriggerId{journaled_}, recorder_,
+      [this](const ExposureRequest& request) { return CommandCamera(request); },
+      parts_.positions.get(), clock_, parts_.place.get());
+  return {};
+}
+
 Status App::StartLoop() {
   OMNIHDR_ASSIGN(loop_, EventLoop::Create());
   OMNIHDR_TRY(loop_->OnTermination([this](int signal) { OnSignal(signal); }));
   OMNIHDR_TRY(loop_->OnHangup([this] { OnHangup(); }));
   OMNIHDR_ASSIGN(trigger_timer_, loop_->AddTimer([this] { OnTriggersReady(); }));
   OMNIHDR_ASSIGN(capture_timer_, loop_->AddTimer([this] {
-    if (CaptureController* capture = controller()) capture->OnTime();
+    controller_->OnTime();
     ScheduleCaptureTimer();
   }));
   OMNIHDR_ASSIGN(drain_timer_, loop_->AddTimer([this] { CheckDrained(); }));
@@ -153,24 +169,21 @@ void App::StartStages() {
   options.first_retry = std::min(options.first_retry, options.longest_retry);
   runner_ = std::make_unique<CameraRunner>(
       *parts_.camera, options,
-      CameraRunnerEvents{.opened = [this](const CameraInfo& info) { return OnCameraOpened(info); },
-                         .started =
-                             [this] {
-                               PostOrLog([this] {
-                                 spdlog::info("camera: ready");
-                                 state_.Update([](CaptureConditions& c) {
-                                   c.camera_ready = true;
-                                   c.fault.clear();
-                                 });
-                                 StartSource();
-                               });
-                             },
-                         .frame =
-                             [this](CameraFrame frame) {
-                               if (CaptureController* capture = controller())
-                                 capture->OnFrame(std::move(frame));
-                             },
-                         .away = [this](const Error& error) { OnCameraAway(error); }},
+      CameraRunnerEvents{
+          .opened = [this](const CameraInfo& info) { return OnCameraOpened(info); },
+          .started =
+              [this] {
+                PostOrLog([this] {
+                  spdlog::info("camera: ready");
+                  state_.Update([](CaptureConditions& c) {
+                    c.camera_ready = true;
+                    c.fault.clear();
+                  });
+                  StartSource();
+                });
+              },
+          .frame = [this](CameraFrame frame) { controller_->OnFrame(std::move(frame)); },
+          .away = [this](const Error& error) { OnCameraAway(error); }},
       clock_);
   if (session()) StartSessionStages();
   camera_stage_ = std::make_unique<Stage>(
@@ -223,6 +236,9 @@ Status App::TearDown() {
       std::_Exit(outcome ? 0 : ExitCode(outcome.error().kind));
     }
     join(pipeline_stage_);
+  }
+  if (const std::size_t lost = session() ? 0 : recorder_.reserved_lines(); lost > 0) {
+    spdlog::error("{} triggers came while there was no session and are in no journal", lost);
   }
   spdlog::info("stopped");
   return outcome;

@@ -114,6 +114,7 @@ class App final : public ApiBackend {
 
   // Startup, main thread.
   Status ResumeSession();
+  Status MakeController();
   Status StartLoop();
   void StartStages();
   void StartSessionStages();
@@ -141,6 +142,7 @@ class App final : public ApiBackend {
   void OnTriggersReady();
   Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
   void StartSource();
+  void DrainSource();
   void StopSource();
   void DisarmBecause(const Error& error);
   void CheckSeriesEnd();
@@ -175,7 +177,6 @@ class App final : public ApiBackend {
   Status CommandCamera(const ExposureRequest& request);
 
   std::shared_ptr<Session> session() const;
-  CaptureController* controller() const { return controller_.load(std::memory_order_acquire); }
   void PostOrLog(EventLoop::Callback message);
 
   // Written by the main loop, in a reload: only what a reload changes, and that under mutex_. Other
@@ -248,10 +249,9 @@ class App final : public ApiBackend {
   HostTime storage_watched_;  // recorder thread
 
   Recorder recorder_;
-  FloodGate drop_log_;     // recorder thread
-  FloodGate storage_log_;  // recorder thread
-  std::unique_ptr<CaptureController> owned_controller_;
-  std::atomic<CaptureController*> controller_ = nullptr;
+  FloodGate drop_log_;                             // recorder thread
+  FloodGate storage_log_;                          // recorder thread
+  std::unique_ptr<CaptureController> controller_;  // from before the stages until after them
   std::unique_ptr<CameraRunner> runner_;
   std::unique_ptr<ApiServer> api_;
   std::unique_ptr<Stage> pipeline_stage_;

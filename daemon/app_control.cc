@@ -18,6 +18,8 @@ using std::chrono::seconds;
 constexpr auto kApiDeadline = seconds(2);
 // Triggers handled before the loop looks after everything else again.
 constexpr int kTriggersAtOnce = 64;
+// More than any source keeps waiting.
+constexpr int kMostDrained = 2048;
 
 }  // namespace
 
@@ -41,9 +43,7 @@ void App::OnSignal(int signal) {
 }
 
 void App::ScheduleCaptureTimer() {
-  CaptureController* capture = controller();
-  if (capture == nullptr) return;
-  if (const auto deadline = capture->NextDeadline()) {
+  if (const auto deadline = controller_->NextDeadline()) {
     capture_timer_->Set(*deadline);
   } else {
     capture_timer_->Disarm();
@@ -51,10 +51,11 @@ void App::ScheduleCaptureTimer() {
 }
 
 Result<AcceptedTrigger> App::HandleTrigger(const TriggerEvent& event) {
-  CaptureController* capture = controller();
-  Result<AcceptedTrigger> accepted = capture->OnTrigger(event);
+  Result<AcceptedTrigger> accepted = controller_->OnTrigger(event);
   ScheduleCaptureTimer();
   if (!accepted) {
+    // Without a session it is not the storage that keeps the lines waiting.
+    if (!session()) return accepted;
     state_.Update([&](CaptureConditions& c) {
       if (c.storage.empty()) c.storage = accepted.error().message;
     });
@@ -86,7 +87,7 @@ void App::OnTriggersReady() {
       if (const auto next = parts_.triggers->NextDeadline()) trigger_timer_->Set(*next);
       return;
     }
-    if (phase_ != Phase::kRunning || !armed_ || controller() == nullptr) {
+    if (phase_ != Phase::kRunning || !armed_) {
       ++ignored_triggers_;
       continue;
     }
@@ -111,9 +112,7 @@ void App::DisarmBecause(const Error& error) {
 
 void App::CheckSeriesEnd() {
   if (phase_ != Phase::kRunning) return;
-  CaptureController* capture = controller();
-  if (config_.trigger.limit > 0 && capture != nullptr &&
-      Value(capture->next_trigger()) >= config_.trigger.limit) {
+  if (config_.trigger.limit > 0 && Value(controller_->next_trigger()) >= config_.trigger.limit) {
     EndSession(fmt::format("all {} triggers of the series have come", config_.trigger.limit),
                false);
   } else if (source_running_ && parts_.triggers->exhausted()) {
@@ -122,8 +121,8 @@ void App::CheckSeriesEnd() {
 }
 
 void App::StartSource() {
-  if (!armed_ || source_running_ || phase_ != Phase::kRunning || controller() == nullptr ||
-      !state_.conditions().camera_ready) {
+  if (!armed_ || source_running_ || phase_ != Phase::kRunning ||
+      (parts_.triggers->needs_camera() && !state_.conditions().camera_ready)) {
     return;
   }
   // A series that was complete before a restart stays complete.
@@ -144,6 +143,17 @@ void App::StartSource() {
     watched_fd_ = fd;
   }
   OnTriggersReady();
+}
+
+// What came before the source is stopped is accounted for like everything else.
+void App::DrainSource() {
+  for (int i = 0; i < kMostDrained && source_running_; ++i) {
+    const Result<std::optional<TriggerEvent>> event = parts_.triggers->Poll();
+    if (!event || !*event) break;
+    [[maybe_unused]] const auto accepted = HandleTrigger(**event);
+    CheckSeriesEnd();
+  }
+  if (source_running_) controller_->OnLost(parts_.triggers->TakeLost());
 }
 
 void App::StopSource() {
@@ -193,6 +203,7 @@ void App::OnSessionEnded() {
 
 void App::StopNow(const std::string& reason) {
   if (phase_ == Phase::kStopping) return;
+  DrainSource();
   phase_ = Phase::kStopping;
   spdlog::info("stopping: {}", reason);
   StopSource();
@@ -212,8 +223,9 @@ void App::StopNow(const std::string& reason) {
 }
 
 bool App::Drained() const {
-  const CaptureController* capture = controller();
-  return capture == nullptr || (capture->open_triggers() == 0 && recorder_.reserved_lines() == 0);
+  if (controller_->open_triggers() > 0) return false;
+  // Lines without a session have nowhere to go: a stop does not wait for one.
+  return recorder_.reserved_lines() == 0 || (phase_ == Phase::kStopping && !session());
 }
 
 void App::CheckDrained() {
@@ -295,13 +307,14 @@ StatusReport App::BuildStatus() const {
     s.views_error = views_error_;
     s.minutes_left = storage_forecast_.MinutesLeft();
   }
-  if (const CaptureController* capture = controller()) {
-    const TriggerId next = capture->next_trigger();
-    const std::uint64_t triggers = std::max(Value(next), s.triggers);
-    s.triggers_in_flight = triggers - s.triggers;
-    s.triggers = triggers;
-    s.capture = capture->counts();
-    const BracketPlan plan = capture->plan();
+  const TriggerId next = controller_->next_trigger();
+  const std::uint64_t triggers = std::max(Value(next), s.triggers);
+  s.triggers_in_flight = triggers - s.triggers;
+  if (s.session_directory.empty()) s.triggers_without_session = s.triggers_in_flight;
+  s.triggers = triggers;
+  s.capture = controller_->counts();
+  if (controller_->camera_known()) {
+    const BracketPlan plan = controller_->plan();
     s.bracket_step = plan.StepForTrigger(next);
     s.bracket_steps = static_cast<int>(plan.exposures().size());
     s.bracket_order = std::string(ToString(plan.order()));
@@ -363,6 +376,7 @@ ApiReply App::Arm() {
 }
 
 ApiReply App::DisarmNow() {
+  DrainSource();
   StopSource();
   armed_ = false;
   state_.Update([](CaptureConditions& c) { c.armed = false; });
@@ -378,7 +392,7 @@ ApiReply App::TriggerNow() {
   if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
   if (phase_ != Phase::kRunning) return ApiReply::Refused(409, "the session has ended");
   if (!armed_) return ApiReply::Refused(409, "disarmed: arm first");
-  if (controller() == nullptr) {
+  if (!session()) {
     return ApiReply::Refused(503, fmt::format("no session yet: {}", state_.report().reason));
   }
   TriggerEvent event;
@@ -401,6 +415,7 @@ ApiReply App::Finish() {
   return OnLoop([this]() -> ApiReply {
     if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
     if (!session()) return ApiReply::Refused(409, "there is no session yet");
+    DrainSource();
     EndSession("asked to finish", false);
     return {200, {{"ending", true}}};
   });
@@ -412,6 +427,7 @@ ApiReply App::Stop(bool leave_session_open) {
       StopNow("asked to stop");
     } else {
       if (phase_ == Phase::kStopping) return {200, {{"stopping", true}}};
+      DrainSource();
       EndSession("asked to stop", true);
       state_.Update([](CaptureConditions& c) {
         if (c.stopping.empty()) c.stopping = "finishing the views";

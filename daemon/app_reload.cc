@@ -127,8 +127,7 @@ Status App::ChangeBracket(const BracketConfig& bracket) {
   if (!lock) return Fail(ErrorKind::kTemporary, "the camera is being opened: try again");
   OMNIHDR_ASSIGN(BracketPlan plan,
                  BracketPlan::Make(MakeBracketOptions(bracket), exposure_limits_));
-  if (CaptureController* capture = controller()) OMNIHDR_TRY(capture->SetPlan(std::move(plan)));
-  return {};
+  return controller_->SetPlan(std::move(plan));
 }
 
 }  // namespace omnihdr

@@ -20,14 +20,6 @@ using std::chrono::seconds;
 constexpr auto kViewsFirstRetry = seconds(1);
 constexpr auto kViewsLongestRetry = seconds(30);
 
-CaptureOptions MakeCaptureOptions(const DaemonConfig& config, const CameraInfo& info) {
-  CaptureOptions options;
-  options.frame_timeout = Nanoseconds(std::llround(config.camera.frame_timeout_s * 1e9));
-  options.tolerance.relative = config.camera.exposure_tolerance;
-  options.tolerance.quantum_s = info.exposure_quantum_s;
-  return options;
-}
-
 // What is different between the camera of the session and the one found; empty when frames of both
 // can be in one journal.
 std::string Difference(const CameraDescription& session, const CameraDescription& camera) {
@@ -125,21 +117,15 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     camera_model_ = info.description.model;
     camera_serial_ = info.description.serial;
   }
-  if (!owned_controller_) {
-    owned_controller_ = std::make_unique<CaptureController>(
-        std::move(*plan), info.description, MakeCaptureOptions(config_, info),
-        TriggerId{session->store.writer().next_frame()}, recorder_,
-        [this](const ExposureRequest& request) { return CommandCamera(request); },
-        parts_.positions.get(), clock_, parts_.place.get());
-    controller_.store(owned_controller_.get(), std::memory_order_release);
-  } else if (const Status planned = owned_controller_->SetPlan(std::move(*plan)); !planned) {
-    return fault(planned.error());
-  }
+  ExposureTolerance tolerance;
+  tolerance.relative = config_.camera.exposure_tolerance;
+  tolerance.quantum_s = info.exposure_quantum_s;
+  controller_->SetCamera(std::move(*plan), info.description, tolerance);
   return {};
 }
 
 void App::OnCameraAway(const Error& error) {
-  if (CaptureController* capture = controller()) capture->OnCameraLost(error.message);
+  controller_->OnCameraLost(error.message);
   const bool was_ready = state_.conditions().camera_ready;
   const std::string before = state_.conditions().waiting;
   state_.Update([&](CaptureConditions& c) {
@@ -195,15 +181,13 @@ void App::OnJournaled(const FrameRecord& record) {
                    record.detail, *count > 1 ? fmt::format(" ({} lost)", *count) : "");
     }
   }
-  if (CaptureController* capture = controller()) {
-    const CaptureController::RecentLosses losses = capture->recent_losses();
-    state_.Update([&](CaptureConditions& c) {
-      c.frames_lost = losses.lost == 0
-                          ? ""
-                          : fmt::format("{} of the last {} triggers gave no frame (last: {})",
-                                        losses.lost, losses.of, losses.last_reason);
-    });
-  }
+  const CaptureController::RecentLosses losses = controller_->recent_losses();
+  state_.Update([&](CaptureConditions& c) {
+    c.frames_lost = losses.lost == 0
+                        ? ""
+                        : fmt::format("{} of the last {} triggers gave no frame (last: {})",
+                                      losses.lost, losses.of, losses.last_reason);
+  });
 }
 
 // ---- pipeline thread

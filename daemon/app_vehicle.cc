@@ -94,8 +94,7 @@ void App::ShowStatus() {
   status.reason = report.reason;
   status.armed = armed_;
   status.camera_ready = from.camera_ready;
-  const CaptureController* capture = controller();
-  status.busy = capture != nullptr && capture->open_triggers() > 0;
+  status.busy = controller_->open_triggers() > 0;
   status.session_ended = ended_;
   status.uptime_s = from.uptime_s;
   status.triggers = from.triggers;

@@ -32,20 +32,50 @@ std::string PixelFault(const CameraFrame& frame, const CameraDescription& descri
 
 }  // namespace
 
+std::string_view ToString(MissReason reason) {
+  switch (reason) {
+    case MissReason::kNoCamera:
+      return "no-camera";
+    case MissReason::kCameraBusy:
+      return "camera-busy";
+    case MissReason::kCameraError:
+      return "camera-error";
+    case MissReason::kNoBuffer:
+      return "no-buffer";
+    case MissReason::kSourceLost:
+      return "source-lost";
+  }
+  return "unknown";
+}
+
 CaptureController::CaptureController(BracketPlan plan, CameraDescription description,
                                      const CaptureOptions& options, TriggerId next,
                                      CaptureSink& sink, CommandCamera command,
                                      const PositionSource* positions, const Clock& clock,
                                      const PlaceSource* place)
-    : description_(std::move(description)),
-      options_(options),
-      sink_(sink),
+    : sink_(sink),
       command_(std::move(command)),
       positions_(positions),
       place_(place),
       clock_(clock),
       plan_(std::move(plan)),
+      description_(std::move(description)),
+      options_(options),
       next_(next) {}
+
+void CaptureController::SetCamera(BracketPlan plan, CameraDescription description,
+                                  const ExposureTolerance& tolerance) {
+  std::lock_guard lock(mutex_);
+  plan_ = std::move(plan);
+  description_ = std::move(description);
+  options_.tolerance = tolerance;
+  camera_known_ = true;
+}
+
+bool CaptureController::camera_known() const {
+  std::lock_guard lock(mutex_);
+  return camera_known_;
+}
 
 ExposureRequest CaptureController::NextRequest(const TriggerEvent& event) {
   ExposureRequest request;
@@ -61,32 +91,43 @@ ExposureRequest CaptureController::NextRequest(const TriggerEvent& event) {
   return request;
 }
 
-void CaptureController::AddLost(std::uint64_t lost, const TriggerEvent& event) {
-  for (std::uint64_t i = 0; i < lost; ++i) {
+void CaptureController::OpenMissed(const ExposureRequest& request, MissReason reason,
+                                   std::string detail) {
+  ++counts_.missed[static_cast<std::size_t>(reason)];
+  ledger_.OpenFailed(request, FrameStatus::kMissedTrigger, std::move(detail));
+}
+
+void CaptureController::AddLost(const LostEvents& lost, HostTime time) {
+  for (std::uint64_t i = 0; i < lost.count; ++i) {
     if (i >= options_.max_lost_lines || !sink_.TryReserveLine()) {
-      counts_.lost_unlisted += lost - i;
+      counts_.lost_unlisted += lost.count - i;
       return;
     }
     // Where the lost one was is not known: only its place in the order is.
     TriggerEvent unknown_place;
-    unknown_place.time = event.time;
+    unknown_place.time = time;
     ExposureRequest request = NextRequest(unknown_place);
     request.odometer_m.reset();
-    ledger_.OpenFailed(request, FrameStatus::kMissedTrigger,
-                       event.lost_reason.empty()
-                           ? "the trigger source lost this event before it was read"
-                           : event.lost_reason);
+    OpenMissed(request, MissReason::kSourceLost,
+               lost.reason.empty() ? "the trigger source lost this event before it was read"
+                                   : lost.reason);
   }
+}
+
+void CaptureController::OnLost(const LostEvents& lost) {
+  std::lock_guard lock(mutex_);
+  AddLost(lost, clock_.Now());
+  SubmitEnded();
 }
 
 Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) {
   std::lock_guard lock(mutex_);
-  AddLost(event.lost_before, event);
+  AddLost({event.lost_before, event.lost_reason}, event.time);
   if (!sink_.TryReserveLine()) {
     ++counts_.refused;
     SubmitEnded();
     return Fail(ErrorKind::kTemporary,
-                "trigger refused: the storage has not taken the lines of earlier triggers");
+                "trigger refused: as many lines as may wait to be stored do so already");
   }
   const ExposureRequest request = NextRequest(event);
   AcceptedTrigger accepted;
@@ -98,11 +139,16 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
   accepted.odometer_m = request.odometer_m;
 
   if (!sink_.TryReserveBuffer()) {
-    ledger_.OpenFailed(request, FrameStatus::kMissedTrigger,
-                       "no free frame buffer: the storage is slower than the triggers");
+    OpenMissed(request, MissReason::kNoBuffer,
+               "no free frame buffer: the storage is slower than the triggers");
   } else if (Status commanded = command_(request); !commanded) {
     sink_.ReleaseBuffer();
-    ledger_.OpenFailed(request, FrameStatus::kMissedTrigger, commanded.error().message);
+    const ErrorKind kind = commanded.error().kind;
+    OpenMissed(request,
+               kind == ErrorKind::kUnavailable ? MissReason::kNoCamera
+               : kind == ErrorKind::kTemporary ? MissReason::kCameraBusy
+                                               : MissReason::kCameraError,
+               commanded.error().message);
   } else {
     const auto exposure = Nanoseconds(std::llround(request.exposure.time.seconds() * 1e9));
     // From the command on, not from the event: a late loop must not eat into the camera's time.
@@ -139,6 +185,9 @@ void CaptureController::OnFrame(CameraFrame frame) {
       status = FrameStatus::kExposureMismatch;
       detail = check.detail;
     }
+  }
+  if (status == FrameStatus::kMissedTrigger) {
+    ++counts_.missed[static_cast<std::size_t>(MissReason::kCameraError)];
   }
   ledger_.Resolve(trigger, status, std::move(detail), std::move(frame));
   SubmitEnded();

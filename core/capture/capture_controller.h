@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
@@ -7,6 +8,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <variant>
 
 #include "core/base/clock.h"
@@ -48,12 +50,24 @@ struct CaptureOptions {
   std::uint64_t max_lost_lines = 256;
 };
 
+// Why a trigger got no exposure (FrameStatus::kMissedTrigger).
+enum class MissReason {
+  kNoCamera,     // it had not come yet, or was away
+  kCameraBusy,   // with the picture before
+  kCameraError,  // it refused, or failed at its registers
+  kNoBuffer,     // the storage is slower than the triggers
+  kSourceLost,   // the trigger source lost the event before it was read
+};
+inline constexpr std::size_t kMissReasonCount = 5;
+std::string_view ToString(MissReason reason);
+
 struct CaptureCounts {
   std::uint64_t triggers = 0;       // accepted since this process started; each gives one line
   std::uint64_t refused = 0;        // not accepted: there was no room even for a line
   std::uint64_t late_frames = 0;    // came after their trigger had ended; thrown away
   std::uint64_t camera_gaps = 0;    // frames the camera's own counter says were lost
   std::uint64_t lost_unlisted = 0;  // reported lost by the source beyond max_lost_lines
+  std::array<std::uint64_t, kMissReasonCount> missed{};  // lines by MissReason
 };
 
 struct AcceptedTrigger {
@@ -76,15 +90,24 @@ class CaptureController {
   using CommandCamera = std::function<Status(const ExposureRequest&)>;
 
   // `description` is that of the session: frames of another size or depth are corrupt. `next` is
-  // the first trigger's number. `positions` and `place` may be null.
+  // the first trigger's number. `positions` and `place` may be null. Before the first camera has
+  // come, the plan is what the configuration asks for, and the description may be empty.
   CaptureController(BracketPlan plan, CameraDescription description, const CaptureOptions& options,
                     TriggerId next, CaptureSink& sink, CommandCamera command,
                     const PositionSource* positions, const Clock& clock,
                     const PlaceSource* place = nullptr);
 
+  // A camera has been opened: from the next trigger on its plan, its frames' description and what
+  // proves their exposure are in force.
+  void SetCamera(BracketPlan plan, CameraDescription description,
+                 const ExposureTolerance& tolerance);
+  bool camera_known() const;  // SetCamera was called
+
   // Accepts a trigger, whatever becomes of its frame: a busy or absent camera or an empty buffer
   // pool end in a missed-trigger line. kTemporary when not even a line has room.
   Result<AcceptedTrigger> OnTrigger(const TriggerEvent& event);
+  // Events that no trigger will tell of: a missed line each, up to max_lost_lines.
+  void OnLost(const LostEvents& lost);
   void OnFrame(CameraFrame frame);
   // All frames on their way are lost with the camera.
   void OnCameraLost(const std::string& reason);
@@ -109,13 +132,12 @@ class CaptureController {
   Status SetPlan(BracketPlan plan);
 
  private:
-  void AddLost(std::uint64_t lost, const TriggerEvent& event);
+  void AddLost(const LostEvents& lost, HostTime time);
+  void OpenMissed(const ExposureRequest& request, MissReason reason, std::string detail);
   ExposureRequest NextRequest(const TriggerEvent& event);
   void SubmitEnded();
   CaptureLine MakeLine(TriggerOutcome outcome) const;
 
-  const CameraDescription description_;
-  const CaptureOptions options_;
   CaptureSink& sink_;
   const CommandCamera command_;
   const PositionSource* const positions_;
@@ -124,6 +146,9 @@ class CaptureController {
 
   mutable std::mutex mutex_;
   BracketPlan plan_;
+  CameraDescription description_;
+  CaptureOptions options_;
+  bool camera_known_ = false;
   TriggerId next_;
   TriggerLedger ledger_;
   CaptureCounts counts_;

@@ -20,6 +20,12 @@ struct TriggerEvent {
   std::string lost_reason;           // how they were lost; empty = not known
 };
 
+// Events of a source that are known to be lost, and how; an empty reason = not known.
+struct LostEvents {
+  std::uint64_t count = 0;
+  std::string reason;
+};
+
 // Where triggers come from: GPIO edge, wheel distance, timer, software. Poll from one thread; the
 // event loop waits on fd() (readable = Poll has something) or until NextDeadline().
 class TriggerSource {
@@ -36,6 +42,13 @@ class TriggerSource {
   // When to Poll again at the latest; nothing = only when fd() is readable.
   virtual std::optional<HostTime> NextDeadline() const { return std::nullopt; }
   virtual bool exhausted() const { return false; }
+  // Whether its events can only come of a camera that is there (a recording's, a simulation's):
+  // such a source is not started before the camera is ready. All others are started when armed, so
+  // that what comes without a camera is accounted for.
+  virtual bool needs_camera() const { return false; }
+  // Events known to be lost that no delivered event has told of, taken out of the source: what it
+  // owes when it is about to be stopped.
+  virtual LostEvents TakeLost() { return {}; }
 };
 
 // How far the vehicle has come. Any thread.

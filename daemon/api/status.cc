@@ -62,6 +62,10 @@ Json StatusToJson(const StatusReport& s) {
     drops[std::string(ToString(status))] = s.lines[status];
     dropped += s.lines[status];
   }
+  Json missed = Json::object();
+  for (std::size_t i = 0; i < kMissReasonCount; ++i) {
+    missed[std::string(ToString(static_cast<MissReason>(i)))] = s.capture.missed[i];
+  }
   Json json = {
       {"version", s.version},
       {"uptime_s", s.uptime_s},
@@ -84,7 +88,9 @@ Json StatusToJson(const StatusReport& s) {
         {"refused", s.capture.refused},
         {"late_frames", s.capture.late_frames},
         {"camera_gaps", s.capture.camera_gaps},
-        {"lost_unlisted", s.capture.lost_unlisted}}},
+        {"lost_unlisted", s.capture.lost_unlisted},
+        {"without_session", s.triggers_without_session},
+        {"missed", missed}}},
       {"positions_triggered", s.positions_triggered},
       {"frames_recorded", s.lines[FrameStatus::kOk]},
       {"frames_dropped", dropped},
@@ -159,6 +165,19 @@ std::string StatusToMetrics(const StatusReport& s) {
         "Trigger events while disarmed or without a session.", AsDouble(s.triggers_ignored));
   m.One("omnihdr_triggers_refused_total", "counter", "Triggers without room for a line.",
         AsDouble(s.capture.refused));
+  m.One("omnihdr_triggers_without_session", "gauge",
+        "Triggers that came before there was a session; journaled as missed once there is one.",
+        AsDouble(s.triggers_without_session));
+  m.Family("omnihdr_triggers_missed_total", "counter",
+           "Triggers without an exposure since the start, by reason.");
+  for (std::size_t i = 0; i < kMissReasonCount; ++i) {
+    m.Sample("omnihdr_triggers_missed_total",
+             fmt::format("reason=\"{}\"", ToString(static_cast<MissReason>(i))),
+             AsDouble(s.capture.missed[i]));
+  }
+  m.One("omnihdr_triggers_lost_unlisted_total", "counter",
+        "Events the trigger source reported lost that got no journal line.",
+        AsDouble(s.capture.lost_unlisted));
   m.Family("omnihdr_frames_total", "counter", "Journal lines of the session by status.");
   for (const FrameStatus status : kStatuses) {
     m.Sample("omnihdr_frames_total", fmt::format("status=\"{}\"", ToString(status)),
@@ -241,6 +260,18 @@ std::string StatusForPeople(const Json& s) {
   line("positions",
        fmt::format("{} triggered by {}", s.at("positions_triggered").get<std::int64_t>(),
                    s.at("trigger_source").get<std::string>()));
+  const Json& triggers = s.at("triggers");
+  if (const auto waiting = triggers.value("without_session", std::uint64_t{0}); waiting > 0) {
+    line("triggers", fmt::format("{} missed before there was a session", waiting));
+  }
+  std::string missed;
+  const Json by_reason = triggers.value("missed", Json::object());
+  for (const auto& [reason, count] : by_reason.items()) {
+    if (count.get<std::uint64_t>() == 0) continue;
+    fmt::format_to(std::back_inserter(missed), "{}{} {}", missed.empty() ? "" : ", ", reason,
+                   count.get<std::uint64_t>());
+  }
+  if (!missed.empty()) line("missed", missed + " since the start");
   std::string drops;
   for (const auto& [reason, count] : s.at("drops").items()) {
     if (count.get<std::uint64_t>() == 0) continue;

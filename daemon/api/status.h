@@ -30,9 +30,10 @@ struct StatusReport {
 
   bool armed = false;
   std::string trigger_source;
-  std::uint64_t triggers = 0;            // of the session, earlier runs included
-  std::uint64_t triggers_in_flight = 0;  // not yet journaled
-  std::uint64_t triggers_ignored = 0;    // came while disarmed or without a session; this run
+  std::uint64_t triggers = 0;                  // of the session, earlier runs included
+  std::uint64_t triggers_in_flight = 0;        // not yet journaled
+  std::uint64_t triggers_without_session = 0;  // of those: missed, waiting for a session's journal
+  std::uint64_t triggers_ignored = 0;          // came while disarmed or without a session; this run
   std::int64_t positions_triggered = 0;
   OutcomeCounts lines;    // journal lines of the session by status
   CaptureCounts capture;  // this run

@@ -39,6 +39,11 @@ Result<std::optional<TriggerEvent>> EdgeTrigger::Poll() {
   return event;
 }
 
+LostEvents EdgeTrigger::TakeLost() {
+  std::lock_guard lock(mutex_);
+  return {std::exchange(lost_, 0), std::exchange(lost_reason_, {})};
+}
+
 void EdgeTrigger::Edge(HostTime time, std::uint64_t lost_before, const std::string& lost_reason) {
   std::lock_guard lock(mutex_);
   if (!fd_.valid()) return;

@@ -24,6 +24,7 @@ class EdgeTrigger final : public TriggerSource {
   void Stop() override;
   Result<std::optional<TriggerEvent>> Poll() override;
   int fd() const override { return fd_.get(); }
+  LostEvents TakeLost() override;
 
   // An edge and what was lost before it. From one other thread.
   void Edge(HostTime time, std::uint64_t lost_before, const std::string& lost_reason);

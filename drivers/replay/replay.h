@@ -81,6 +81,7 @@ class ReplayTrigger final : public TriggerSource {
   Result<std::optional<TriggerEvent>> Poll() override;
   std::optional<HostTime> NextDeadline() const override;
   bool exhausted() const override;
+  bool needs_camera() const override { return true; }
 
  private:
   const std::shared_ptr<const ReplayCamera> camera_;

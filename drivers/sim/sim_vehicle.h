@@ -60,6 +60,8 @@ class DistanceTrigger final : public TriggerSource {
   Status SetDistance(double distance_m);
   std::optional<HostTime> NextDeadline() const override;
   bool exhausted() const override;
+  // The vehicle of a simulation does not drive off before its camera has been rendered.
+  bool needs_camera() const override { return true; }
 
  private:
   double NextMark() const { return static_cast<double>(next_) * options_.distance_m; }

@@ -86,40 +86,54 @@ Result<std::optional<TriggerEvent>> OdometerTrigger::Poll() {
   if (!counting_since_) return std::nullopt;
 
   const HostTime now = clock_.Now();
+  const std::uint64_t late = SkipLate(now);
+  const std::optional<HostTime> passed = odometer_->TimeAt(NextMark() - kRoundingM);
+  if (!passed || *passed > now) {
+    // Marks that were lost wait for the event that tells of them: none of their own can be made.
+    next_ -= static_cast<std::int64_t>(late);
+    return std::nullopt;
+  }
   TriggerEvent event;
+  event.time = std::max(*passed, *counting_since_);
+  event.odometer_m = NextMark();
+  event.lost_before = late;
+  if (late > 0) event.lost_reason = LateReason();
+  ++next_;
+  return event;
+}
+
+std::uint64_t OdometerTrigger::SkipLate(HostTime now) {
+  std::uint64_t late = 0;
   if (const std::optional<double> reading = odometer_->OdometerMetres(now)) {
     const double reached = *reading / options_.distance_m - static_cast<double>(kMostMarksAtOnce);
     if (reached > static_cast<double>(next_) && reached < 9e15) {
       const auto skip = static_cast<std::int64_t>(reached) - next_;
-      event.lost_before += static_cast<std::uint64_t>(skip);
+      late += static_cast<std::uint64_t>(skip);
       next_ += skip;
     }
   }
   for (std::int64_t i = 0; i <= kMostMarksAtOnce + 1; ++i) {
-    std::optional<HostTime> passed = odometer_->TimeAt(NextMark() - kRoundingM);
-    if (!passed || *passed > now) break;
-    passed = std::max(*passed, *counting_since_);
-    if (now - *passed > options_.max_late) {
-      ++event.lost_before;
-      ++next_;
-      continue;
-    }
-    event.time = *passed;
-    event.odometer_m = NextMark();
+    const std::optional<HostTime> passed = odometer_->TimeAt(NextMark() - kRoundingM);
+    if (!passed || now - std::max(*passed, *counting_since_) <= options_.max_late) break;
+    ++late;
     ++next_;
-    if (event.lost_before > 0) {
-      const std::uint64_t missing = odometer_->lost() - odometer_lost_;
-      event.lost_reason = fmt::format(
-          "the odometer told of this mark more than {} ms after it was passed{}",
-          std::chrono::duration_cast<std::chrono::milliseconds>(options_.max_late).count(),
-          missing > 0 ? fmt::format(" (readings lost: {})", missing) : "");
-      odometer_lost_ += missing;
-    }
-    return event;
   }
-  // Marks that were lost wait for the event that tells of them: none of their own can be made.
-  if (event.lost_before > 0) next_ -= static_cast<std::int64_t>(event.lost_before);
-  return std::nullopt;
+  return late;
+}
+
+std::string OdometerTrigger::LateReason() {
+  const std::uint64_t missing = odometer_->lost() - odometer_lost_;
+  odometer_lost_ += missing;
+  return fmt::format(
+      "the odometer told of this mark more than {} ms after it was passed{}",
+      std::chrono::duration_cast<std::chrono::milliseconds>(options_.max_late).count(),
+      missing > 0 ? fmt::format(" (readings lost: {})", missing) : "");
+}
+
+LostEvents OdometerTrigger::TakeLost() {
+  if (!fd_.valid() || !counting_since_) return {};
+  const std::uint64_t late = SkipLate(clock_.Now());
+  return {late, late > 0 ? LateReason() : ""};
 }
 
 std::optional<HostTime> OdometerTrigger::NextDeadline() const {

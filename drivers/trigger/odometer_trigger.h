@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "core/base/clock.h"
 #include "core/base/file.h"
@@ -34,10 +35,14 @@ class OdometerTrigger final : public TriggerSource {
   Status SetDistance(double distance_m);
   int fd() const override { return fd_.get(); }
   std::optional<HostTime> NextDeadline() const override;
+  LostEvents TakeLost() override;
 
  private:
   double NextMark() const { return static_cast<double>(next_) * options_.distance_m; }
   void Synchronise();
+  // Passes marks that are too late for a picture; how many.
+  std::uint64_t SkipLate(HostTime now);
+  std::string LateReason();
 
   OdometerTriggerOptions options_;
   const std::shared_ptr<Odometer> odometer_;

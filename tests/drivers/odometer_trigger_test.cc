@@ -148,6 +148,20 @@ TEST(OdometerTrigger, MarksToldOfTooLateAreLostWithTheReasonAndTheNextOneIsTaken
   EXPECT_THAT(events[0].lost_reason, HasSubstr("readings lost: 3"));
 }
 
+TEST(OdometerTrigger, MarksThatAreTooLateAreOwedUntilTheyAreTakenOrTold) {
+  Bench bench(1.0);
+  bench.odometer->Tell(100.0, 0.5);
+  ASSERT_TRUE(bench.trigger->Start());
+  EXPECT_TRUE(bench.Events().empty());
+  bench.odometer->Tell(102.0, 3.5);
+  bench.clock.Set(103.2);  // marks 1, 2 and 3 were passed before 102
+  EXPECT_TRUE(bench.Events().empty());
+  const LostEvents lost = bench.trigger->TakeLost();
+  EXPECT_EQ(lost.count, 3U);
+  EXPECT_THAT(lost.reason, HasSubstr("more than 1000 ms"));
+  EXPECT_EQ(bench.trigger->TakeLost().count, 0U);
+}
+
 TEST(OdometerTrigger, AnOdometerThatJumpsFarCostsNoTimeAndEveryMarkIsAccountedFor) {
   Bench bench(0.001);
   bench.odometer->Tell(100.0, 0.0);

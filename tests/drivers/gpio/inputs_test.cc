@@ -90,6 +90,21 @@ TEST(GpioInputs, MoreEdgesThanMayWaitAreLostWithTheirReason) {
   EXPECT_THAT(next.lost_reason, HasSubstr("64 edges of the trigger line waited already"));
 }
 
+TEST(GpioInputs, LostEdgesThatNoEdgeTellsOfAreTakenOnce) {
+  Bench bench(Both());
+  ASSERT_TRUE(bench.inputs.Start());
+  ASSERT_TRUE(bench.inputs.trigger()->Start());
+  ASSERT_TRUE(Eventually([&] { return bench.inputs.report().up; }));
+  const std::size_t most = gpio::EdgeTrigger::kMaxWaiting;
+  bench.chip.Push("button", std::vector(most + 2, bench.Edge()));
+  ASSERT_TRUE(Eventually([&] { return bench.inputs.report().messages == most + 2; }));
+  for (std::size_t i = 0; i < most; ++i) bench.Next();
+  const LostEvents lost = bench.inputs.trigger()->TakeLost();
+  EXPECT_EQ(lost.count, 2U);
+  EXPECT_THAT(lost.reason, HasSubstr("waited already"));
+  EXPECT_EQ(bench.inputs.trigger()->TakeLost().count, 0U);
+}
+
 TEST(GpioInputs, EdgesWhileTheTriggerIsStoppedAreIgnored) {
   Bench bench(Both());
   ASSERT_TRUE(bench.inputs.Start());

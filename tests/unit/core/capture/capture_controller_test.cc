@@ -158,6 +158,46 @@ TEST(CaptureController, TriggersThatTheSourceLostAreLinesWithTheSourcesReason) {
   }
 }
 
+TEST(CaptureController, MissedTriggersAreCountedByTheirReason) {
+  Bench bench(1);
+  bench.refusal = "busy";
+  bench.Trigger(2);
+  bench.refusal.clear();
+  bench.Trigger();
+  bench.Trigger();  // the only buffer is taken
+  CameraFrame frame = FrameFor(bench.commanded[0]);
+  frame.status = FrameStatus::kMissedTrigger;
+  bench.controller.OnFrame(std::move(frame));
+  bench.controller.OnLost({3, "its buffer was full"});
+  const CaptureCounts counts = bench.controller.counts();
+  const auto missed = [&](MissReason reason) {
+    return counts.missed[static_cast<std::size_t>(reason)];
+  };
+  EXPECT_EQ(missed(MissReason::kSourceLost), 5U);
+  EXPECT_EQ(missed(MissReason::kCameraBusy), 1U);
+  EXPECT_EQ(missed(MissReason::kNoBuffer), 1U);
+  EXPECT_EQ(missed(MissReason::kCameraError), 1U);
+  EXPECT_EQ(missed(MissReason::kNoCamera), 0U);
+  EXPECT_EQ(bench.sink.lines.size(), 8U);
+  EXPECT_EQ(bench.record(7).detail, "its buffer was full");
+}
+
+TEST(CaptureController, ACameraThatComesLaterBringsItsPlanAndItsFramesDescription) {
+  Bench bench;
+  bench.Trigger();
+  EXPECT_FALSE(bench.controller.camera_known());
+  BracketOptions options;
+  options.exposures = {ExposureTime::Seconds(0.5), ExposureTime::Seconds(0.25)};
+  CameraDescription larger = SmallCamera();
+  larger.width = 16;
+  bench.controller.SetCamera(BracketPlan::Make(options, {}).value(), larger, {});
+  EXPECT_TRUE(bench.controller.camera_known());
+  bench.Trigger();
+  EXPECT_DOUBLE_EQ(bench.commanded[1].exposure.time.seconds(), 0.25);
+  bench.controller.OnFrame(FrameFor(bench.commanded[0]));
+  EXPECT_EQ(bench.record(0).status, FrameStatus::kCorrupt) << "of the size before";
+}
+
 TEST(CaptureController, ABusyCameraIsAMissedTriggerAndTheBracketGoesOn) {
   Bench bench;
   bench.Trigger();

@@ -79,6 +79,23 @@ TEST(Status, TheVehiclesConnectionsPlaceAndStorageAreTold) {
   EXPECT_THAT(people, HasSubstr("96 minutes left"));
 }
 
+TEST(Status, MissedTriggersAreToldWithTheirReason) {
+  StatusReport s = Busy();
+  s.triggers_without_session = 7;
+  s.capture.missed[static_cast<std::size_t>(MissReason::kNoCamera)] = 5;
+  s.capture.missed[static_cast<std::size_t>(MissReason::kSourceLost)] = 2;
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["triggers"]["without_session"], 7);
+  EXPECT_EQ(json["triggers"]["missed"]["no-camera"], 5);
+  EXPECT_EQ(json["triggers"]["missed"]["camera-busy"], 0);
+  const std::string metrics = StatusToMetrics(s);
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_triggers_without_session 7\n"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_triggers_missed_total{reason=\"no-camera\"} 5\n"));
+  const std::string people = StatusForPeople(json);
+  EXPECT_THAT(people, HasSubstr("7 missed before there was a session"));
+  EXPECT_THAT(people, HasSubstr("no-camera 5, source-lost 2 since the start"));
+}
+
 TEST(Status, WhatIsNotKnownIsNull) {
   const auto json = StatusToJson(StatusReport{});
   EXPECT_TRUE(json["odometer_m"].is_null());

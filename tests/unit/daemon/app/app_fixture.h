@@ -124,14 +124,27 @@ class ToldSource final : public TriggerSource {
   std::optional<HostTime> NextDeadline() const override {
     return SystemClock().Now() + milliseconds(5);
   }
+  LostEvents TakeLost() override {
+    std::lock_guard lock(mutex_);
+    return std::exchange(lost_, {});
+  }
   void Tell(TriggerEvent event) {
     std::lock_guard lock(mutex_);
     events_.push_back(std::move(event));
+  }
+  void Tell(int times) {
+    std::lock_guard lock(mutex_);
+    for (int i = 0; i < times; ++i) events_.emplace_back().time = SystemClock().Now();
+  }
+  void Lose(std::uint64_t count, const std::string& reason) {
+    std::lock_guard lock(mutex_);
+    lost_ = {count, reason};
   }
 
  private:
   std::mutex mutex_;
   std::deque<TriggerEvent> events_;
+  LostEvents lost_;
 };
 
 // A vehicle's connection, its lamps and its strobe in one.

@@ -1,0 +1,120 @@
+// Every trigger and what becomes of it, through the whole daemon.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <thread>
+
+#include "core/session/session_reader.h"
+#include "drivers/trigger/timer_trigger.h"
+#include "tests/unit/daemon/app/app_fixture.h"
+
+namespace omnihdr::app_triggers_test {
+namespace {
+
+using std::chrono::milliseconds;
+using ::testing::HasSubstr;
+using testing_app::ToldSource;
+
+class AppTriggers : public testing_app::AppFixture {};
+
+TEST_F(AppTriggers, EdgesBeforeThereCanBeASessionAreCountedAndJournaledAsMissedOnceItBegins) {
+  const auto source = std::make_shared<ToldSource>();
+  triggers_ = source;
+  camera_->SetPresent(false);
+  Start();
+  ASSERT_TRUE(InState("waiting-for-camera"));
+  source->Tell(3);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["without_session"] == 3; }));
+  EXPECT_EQ(Client().Get("/v1/status").value()["triggers"]["missed"]["no-camera"], 3);
+  EXPECT_FALSE(std::filesystem::exists(session()));
+  camera_->SetPresent(true);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }));
+  source->Tell(1);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_EQ(Client().Get("/v1/status").value()["triggers"]["without_session"], 0);
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  ASSERT_EQ(frames.size(), 4U);
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(frames[i].status, FrameStatus::kMissedTrigger);
+    EXPECT_THAT(frames[i].detail, HasSubstr("no camera"));
+  }
+  EXPECT_EQ(frames[3].status, FrameStatus::kOk);
+  EXPECT_EQ(Value(frames[3].frame), 3U);
+}
+
+TEST_F(AppTriggers, MoreEdgesThanMayWaitForASessionAreCountedAndTheStorageIsNotBlamed) {
+  const auto source = std::make_shared<ToldSource>();
+  triggers_ = source;
+  camera_->SetPresent(false);
+  Start();
+  source->Tell(5000);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["refused"] == 5000 - 4096; }));
+  EXPECT_TRUE(InState("waiting-for-camera"));
+  EXPECT_TRUE(Join(true)) << "a stop does not wait for a session that never begins";
+}
+
+TEST_F(AppTriggers, InAContinuedSessionEdgesAreJournaledBeforeTheCameraComes) {
+  const auto source = std::make_shared<ToldSource>();
+  triggers_ = source;
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  source->Tell(1);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(Join(true));
+  camera_->SetPresent(false);
+  Start();
+  source->Tell(2);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["drops"]["missed-trigger"] == 2; }));
+  EXPECT_TRUE(InState("waiting-for-camera"));
+  EXPECT_EQ(ReadSession(session())->journal.frames.size(), 3U);
+  camera_->SetPresent(true);
+  ASSERT_TRUE(InState("degraded")) << "of the last triggers some were lost";
+  source->Tell(1);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 2; }));
+}
+
+TEST_F(AppTriggers, ATimersRasterHasNoHoleWhileTheCameraIsAway) {
+  triggers_ = std::make_shared<TimerTrigger>(TimerTriggerOptions{0.02, 0});
+  camera_->SetPresent(false);
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["without_session"] > 3; }));
+  camera_->SetPresent(true);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] > 3; }));
+  camera_->SetPresent(false);
+  ASSERT_TRUE(InState("waiting-for-camera"));
+  const int recorded = Client().Get("/v1/status").value()["frames_recorded"];
+  std::this_thread::sleep_for(milliseconds(100));
+  camera_->SetPresent(true);
+  ASSERT_TRUE(StatusHolds([&](const auto& s) { return s["frames_recorded"] > recorded + 3; }));
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  for (std::size_t i = 1; i < frames.size(); ++i) {
+    // Expirations that were polled late have the time of the one that tells of them.
+    const std::int64_t step = (frames[i].trigger_time - frames[0].trigger_time).count();
+    EXPECT_EQ(step % 20'000'000, 0) << i;
+    EXPECT_GE(step / 20'000'000, static_cast<std::int64_t>(i)) << i;
+    EXPECT_LT(step / 20'000'000, static_cast<std::int64_t>(i) + 50) << i;
+  }
+  const std::int64_t way = (frames.back().trigger_time - frames[0].trigger_time).count();
+  EXPECT_EQ(way / 20'000'000, static_cast<std::int64_t>(frames.size()) - 1);
+}
+
+TEST_F(AppTriggers, WhatCameBeforeItWasDisarmedHasItsLine) {
+  const auto source = std::make_shared<ToldSource>();
+  triggers_ = source;
+  camera_->SetPresent(false);
+  Start();
+  // Nothing but the disarming looks at them, or the loop did just before: either way they count.
+  source->Tell(100);
+  source->Lose(2, "the kernel's buffer was full");
+  ASSERT_TRUE(Client().Post("/v1/disarm"));
+  const nlohmann::json status = Client().Get("/v1/status").value();
+  EXPECT_EQ(status["triggers"]["accepted"], 102);
+  EXPECT_EQ(status["triggers"]["missed"]["source-lost"], 2);
+  EXPECT_EQ(status["triggers"]["missed"]["no-camera"], 100);
+}
+
+}  // namespace
+}  // namespace omnihdr::app_triggers_test
