@@ -154,7 +154,8 @@ TEST(OdometerTrigger, MarksThatAreTooLateAreOwedUntilTheyAreTakenOrTold) {
   ASSERT_TRUE(bench.trigger->Start());
   EXPECT_TRUE(bench.Events().empty());
   bench.odometer->Tell(102.0, 3.5);
-  bench.clock.Set(103.2);  // marks 1, 2 and 3 were passed before 102
+  bench.odometer->Tell(102.6, 3.5);
+  bench.clock.Set(103.2);  // marks 1, 2 and 3 were passed before 102, where it has stood since
   EXPECT_TRUE(bench.Events().empty());
   const LostEvents lost = bench.trigger->TakeLost();
   EXPECT_EQ(lost.count, 3U);
