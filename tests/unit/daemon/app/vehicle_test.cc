@@ -104,9 +104,13 @@ TEST(AppVehicle, ADriveByTheVehiclesOdometerIsCommandedByModbusAndJournaledWithI
       return status && holds(*status);
     });
   };
-  EXPECT_TRUE(status_holds([](const auto& s) {
+  // The camera renders a picture before it is there, on a busy machine for long.
+  const auto ready = [](const nlohmann::json& s) {
     return s["state"] == "idle" && s["odometer_m"].is_number() && s["gnss"].is_object();
-  }));
+  };
+  bool became_ready = false;
+  for (int i = 0; i < 6 && !became_ready; ++i) became_ready = status_holds(ready);
+  EXPECT_TRUE(became_ready);
 
   modbus_t* master = modbus_new_tcp("127.0.0.1", server_port);
   modbus_set_response_timeout(master, 2, 0);
