@@ -75,6 +75,8 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   options.faults.lost_probability = from.lost_frame_probability;
   options.faults.torn_probability = from.corrupt_frame_probability;
   options.faults.exposure_probability = from.exposure_error_probability;
+  options.faults.vanish_probability = from.vanish_probability;
+  options.faults.away_s = from.away_s;
   // A timer knows no place: the vehicle then is where its speed has taken it.
   options.interval_m = config.trigger.source == TriggerKind::kTimer
                            ? config.trigger.interval_s * from.speed_m_s

@@ -75,6 +75,8 @@ struct SimCameraConfig {
   double lost_frame_probability = 0.0;
   double corrupt_frame_probability = 0.0;
   double exposure_error_probability = 0.0;
+  double vanish_probability = 0.0;
+  double away_s = 1.0;
   double max_distance_m = 0.0;  // the vehicle stops there; 0 = never
 };
 

@@ -276,6 +276,9 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(camera.sim.corrupt_frame_probability)));
   add(Number("camera.sim.exposure_error_probability", "a probability", 0, 1,
              OMNIHDR_MEMBER(camera.sim.exposure_error_probability)));
+  add(Number("camera.sim.vanish_probability", "a probability", 0, 1,
+             OMNIHDR_MEMBER(camera.sim.vanish_probability)));
+  add(Number("camera.sim.away_s", "seconds", 0, 3600, OMNIHDR_MEMBER(camera.sim.away_s)));
   add(NumberOrZero("camera.sim.max_distance_m", "metres", "for no end", 0.001, 1e6,
                    OMNIHDR_MEMBER(camera.sim.max_distance_m)));
   add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,

@@ -41,6 +41,7 @@ Status SimCameraOptions::Validate() const {
   OMNIHDR_TRY(CheckRange("lost_probability", faults.lost_probability, 0.0, 1.0));
   OMNIHDR_TRY(CheckRange("torn_probability", faults.torn_probability, 0.0, 1.0));
   OMNIHDR_TRY(CheckRange("exposure_probability", faults.exposure_probability, 0.0, 1.0));
+  OMNIHDR_TRY(CheckRange("vanish_probability", faults.vanish_probability, 0.0, 1.0));
   return CheckRange("away_s", faults.away_s, 0.0, 3600.0);
 }
 
@@ -198,7 +199,7 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
     return Fail(ErrorKind::kTemporary, "simulated camera: busy: {} pictures are on their way",
                 kMaxOnTheirWay);
   }
-  if (Chance(0.0, faults.vanish, request.trigger, 0)) {
+  if (Chance(faults.vanish_probability, faults.vanish, request.trigger, 4)) {
     GoAway(fmt::format("vanished at trigger {}", Value(request.trigger)),
            FromSeconds(faults.away_s));
     return Fail(ErrorKind::kUnavailable, "simulated camera: {}", away_);

@@ -24,11 +24,12 @@ struct FaultOptions {
   double lost_probability = 0.0;      // the frame never arrives; the camera's counter skips it
   double torn_probability = 0.0;      // the lower part is the picture before; delivered as kCorrupt
   double exposure_probability = 0.0;  // taken with the exposure before; measured_exposure says so
+  double vanish_probability = 0.0;    // the device goes when the trigger is commanded
   std::vector<std::uint64_t> lost;
   std::vector<std::uint64_t> torn;
   std::vector<std::uint64_t> exposure;
-  std::vector<std::uint64_t> vanish;  // the device goes when this trigger is commanded
-  double away_s = 1.0;                // and can be opened again after this long
+  std::vector<std::uint64_t> vanish;
+  double away_s = 1.0;  // how long a device that went cannot be opened
 };
 
 struct SimCameraOptions {

@@ -212,6 +212,23 @@ TEST(SimCamera, ADeviceThatVanishesComesBackAfterItsTime) {
   EXPECT_TRUE(Take(camera, Request(2, 0.001)));
 }
 
+TEST(SimCamera, ADeviceVanishesByChanceAsOftenAsAsked) {
+  SimCameraOptions options = SmallOptions();
+  options.faults.vanish_probability = 0.25;
+  options.faults.away_s = 0.0;
+  SimCamera camera(options, SharedWorld());
+  int vanished = 0;
+  for (std::uint64_t trigger = 0; trigger < 100; ++trigger) {
+    ASSERT_TRUE(camera.Open());
+    ASSERT_TRUE(camera.Start());
+    const Status taken = camera.Trigger(Request(trigger, 1e-6));
+    if (!taken && taken.error().kind == ErrorKind::kUnavailable) ++vanished;
+    camera.Stop();
+  }
+  EXPECT_GT(vanished, 10);
+  EXPECT_LT(vanished, 40);
+}
+
 TEST(SimCamera, OptionsOutOfRangeAreReportedByOpen) {
   SimCameraOptions options = SmallOptions();
   options.simulation.width = 7;
