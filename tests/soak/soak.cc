@@ -64,8 +64,11 @@ class FastClock {
   const UtcTime begin_utc_;
 };
 
-[[noreturn]] void GiveUp(const std::string& message) {
-  fmt::print(stderr, "soak: {}\n", message);
+// With the end of the daemon's log.
+[[noreturn]] void GiveUp(const std::string& message, const Program& daemon) {
+  const std::string log = daemon.Log();
+  fmt::print(stderr, "soak: {}:\n{}\n", message,
+             log.substr(log.size() - std::min<std::size_t>(log.size(), 4000)));
   std::_Exit(1);
 }
 
@@ -162,8 +165,12 @@ int Run(const SoakOptions& options) {
       "omnihdrd", {"--config", (directory / "c.toml").string()}, directory / "log",
       {"LD_PRELOAD=" OMNIHDR_FAST_CLOCK_LIBRARY ":" OMNIHDR_STORAGE_FAULTS,
        "OMNIHDR_STORAGE_FAULTS=" + (directory / "faults").string(), clock.Environment()});
-  if (!Eventually([&] { return fs::exists(session / "raw" / "000000.png"); })) {
-    GiveUp("omnihdrd takes no frames:\n" + daemon.Log());
+  // Triggers have their lines before the camera is there; the day begins with the first frame.
+  if (!Eventually([&] {
+        std::error_code none;
+        return fs::directory_iterator(session / "raw", none) != fs::directory_iterator();
+      })) {
+    GiveUp("omnihdrd takes no frames", daemon);
   }
 
   const HostTime start = clock.Now();
@@ -173,7 +180,7 @@ int Run(const SoakOptions& options) {
   result.interval_s = options.interval_s;
   constexpr int kSamples = 240;
   for (double hour = 0.0; hour < options.hours; hour = clock.HoursSince(start)) {
-    if (!daemon.running()) GiveUp("omnihdrd has ended:\n" + daemon.Log());
+    if (!daemon.running()) GiveUp("omnihdrd has ended", daemon);
     troubles.Turn(hour);
     if (hour >= options.hours * static_cast<double>(result.samples.size()) / kSamples) {
       result.samples.push_back(Look(daemon.pid(), hour));
@@ -195,14 +202,14 @@ int Run(const SoakOptions& options) {
                           status["triggers"]["refused"].get<std::uint64_t>();
         return status["triggers"]["in_flight"] == 0;
       })) {
-    GiveUp("the triggers of the day are not all answered:\n" + daemon.Log());
+    GiveUp("the triggers of the day are not all answered", daemon);
   }
   const double seconds =
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   daemon.Signal(SIGTERM);
   const int code = daemon.Wait(std::chrono::seconds(120));
   auto contents = ReadSession(session);
-  if (!contents) GiveUp(contents.error().message);
+  if (!contents) GiveUp(contents.error().message, daemon);
   result.journal = std::move(contents->journal.frames);
   result.latencies = LatenciesOf(result.journal, start, options.hours, options.speed, kSamples / 5);
 
