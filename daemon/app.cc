@@ -169,21 +169,25 @@ void App::StartStages() {
   options.first_retry = std::min(options.first_retry, options.longest_retry);
   runner_ = std::make_unique<CameraRunner>(
       *parts_.camera, options,
-      CameraRunnerEvents{
-          .opened = [this](const CameraInfo& info) { return OnCameraOpened(info); },
-          .started =
-              [this] {
-                PostOrLog([this] {
-                  spdlog::info("camera: ready");
-                  state_.Update([](CaptureConditions& c) {
-                    c.camera_ready = true;
-                    c.fault.clear();
-                  });
-                  StartSource();
-                });
-              },
-          .frame = [this](CameraFrame frame) { controller_->OnFrame(std::move(frame)); },
-          .away = [this](const Error& error) { OnCameraAway(error); }},
+      CameraRunnerEvents{.opened = [this](const CameraInfo& info) { return OnCameraOpened(info); },
+                         .started =
+                             [this] {
+                               PostOrLog([this] {
+                                 spdlog::info("camera: ready");
+                                 state_.Update([](CaptureConditions& c) {
+                                   c.camera_ready = true;
+                                   c.fault.clear();
+                                 });
+                                 StartSource();
+                               });
+                               PrepareNext();
+                             },
+                         .frame =
+                             [this](CameraFrame frame) {
+                               controller_->OnFrame(std::move(frame));
+                               PrepareNext();
+                             },
+                         .away = [this](const Error& error) { OnCameraAway(error); }},
       clock_);
   if (session()) StartSessionStages();
   camera_stage_ = std::make_unique<Stage>(
@@ -193,6 +197,10 @@ void App::StartStages() {
   if (config_.trigger.armed_at_start && phase_ == Phase::kRunning) {
     PostOrLog([this] { ArmNow(); });
   }
+}
+
+void App::PrepareNext() {
+  parts_.camera->Prepare(controller_->plan().ForTrigger(controller_->next_trigger()));
 }
 
 void App::StartSessionStages() {

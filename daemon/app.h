@@ -124,6 +124,7 @@ class App final : public ApiBackend {
   Status RunCamera(std::stop_token stop, Stage& self);
   Status OnCameraOpened(const CameraInfo& info);
   void OnCameraAway(const Error& error);
+  void PrepareNext();
   // Recorder thread.
   Status RunRecorder(std::stop_token stop, Stage& self);
   void OnJournaled(const FrameRecord& record);

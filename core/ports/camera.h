@@ -91,6 +91,10 @@ class Camera {
   // Commands the exposure. Returns at once; the picture arrives through Receive. kTemporary when
   // the camera is still busy with the picture before; kUnavailable when it has gone.
   virtual Status Trigger(const ExposureRequest& request) = 0;
+  // The exposure that the next trigger will probably ask for: a camera which takes a while to set
+  // it does so in the pause before, and the trigger finds it set. A hint: another may be asked for.
+  // Returns at once, says nothing. From the thread of Receive.
+  virtual void Prepare(const Exposure& /*next*/) {}
   // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable
   // when the device has gone and Open must be called again.
   virtual Result<CameraFrame> Receive(Nanoseconds timeout) = 0;

@@ -67,26 +67,42 @@ void Handover::Stop(const std::function<void(bool gone)>& stop_device) {
 
 void Handover::Forget() {
   requests_.clear();
+  hint_.reset();
   taken_ = 0;
   frames_.clear();
+}
+
+Status Handover::CheckLimits(const Exposure& exposure) const {
+  if (!exposure.IsValid() || exposure.time < limits_.shortest || exposure.time > limits_.longest) {
+    return Fail(ErrorKind::kUsage, "{}: exposure {} s: expected {} to {} s", camera_,
+                exposure.time.seconds(), limits_.shortest.seconds(), limits_.longest.seconds());
+  }
+  const double gain = exposure.gain.value;
+  if (!(gain >= limits_.least_gain_db && gain <= limits_.most_gain_db)) {
+    return Fail(ErrorKind::kUsage, "{}: gain {} dB: expected {} to {} dB{}{}{}", camera_, gain,
+                limits_.least_gain_db, limits_.most_gain_db, limits_.gain_note.empty() ? "" : " (",
+                limits_.gain_note, limits_.gain_note.empty() ? "" : ")");
+  }
+  return {};
+}
+
+void Handover::Prepare(const Exposure& next) {
+  std::lock_guard lock(mutex_);
+  if (!running_ || !away_.empty() || !CheckLimits(next)) return;
+  hint_ = next;
+  changed_.notify_all();
+}
+
+std::optional<Exposure> Handover::TakeHint() {
+  std::lock_guard lock(mutex_);
+  return std::exchange(hint_, std::nullopt);
 }
 
 Status Handover::Trigger(const ExposureRequest& request) {
   std::lock_guard lock(mutex_);
   if (!away_.empty()) return Forward(Unavailable("", away_));
   if (!running_) return Forward(Unavailable("trigger: ", "not started"));
-  if (!request.exposure.IsValid() || request.exposure.time < limits_.shortest ||
-      request.exposure.time > limits_.longest) {
-    return Fail(ErrorKind::kUsage, "{}: exposure {} s: expected {} to {} s", camera_,
-                request.exposure.time.seconds(), limits_.shortest.seconds(),
-                limits_.longest.seconds());
-  }
-  const double gain = request.exposure.gain.value;
-  if (!(gain >= limits_.least_gain_db && gain <= limits_.most_gain_db)) {
-    return Fail(ErrorKind::kUsage, "{}: gain {} dB: expected {} to {} dB{}{}{}", camera_, gain,
-                limits_.least_gain_db, limits_.most_gain_db, limits_.gain_note.empty() ? "" : " (",
-                limits_.gain_note, limits_.gain_note.empty() ? "" : ")");
-  }
+  OMNIHDR_TRY(CheckLimits(request.exposure));
   if (requests_.size() + taken_ >= limits_.requests) {
     return Fail(ErrorKind::kTemporary, "{}: busy with the picture before", camera_);
   }
@@ -117,7 +133,8 @@ Result<CameraFrame> Handover::Receive(Nanoseconds timeout) {
 std::optional<ExposureRequest> Handover::Take(Nanoseconds timeout, const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
   if (timeout > Nanoseconds(0)) {
-    changed_.wait_for(lock, timeout, [&] { return !requests_.empty() || stop.stop_requested(); });
+    changed_.wait_for(lock, timeout,
+                      [&] { return !requests_.empty() || hint_ || stop.stop_requested(); });
   }
   if (!away_.empty() || stop.stop_requested() || requests_.empty()) return std::nullopt;
   ExposureRequest request = requests_.front();

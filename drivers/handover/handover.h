@@ -61,10 +61,14 @@ class Handover {
   // --- Camera::Trigger and Camera::Receive
   Status Trigger(const ExposureRequest& request);
   Result<CameraFrame> Receive(Nanoseconds timeout);
+  // --- Camera::Prepare: the last one counts; one that Trigger would refuse is no hint.
+  void Prepare(const Exposure& next);
 
   // --- the worker
   // The next request, to be ended by Done or Finish; nothing when none came within `timeout`.
   std::optional<ExposureRequest> Take(Nanoseconds timeout, const std::stop_token& stop);
+  // What Prepare said since the last call. Take returns early, with nothing, when there is news.
+  std::optional<Exposure> TakeHint();
   void Deliver(CameraFrame frame);
   // The oldest request that was taken is at its end: the next may come.
   void Done();
@@ -76,7 +80,8 @@ class Handover {
   static CameraFrame Missed(const ExposureRequest& request, std::string why, std::uint64_t counter);
 
  private:
-  void Forget();  // with mutex_
+  void Forget();                                       // with mutex_
+  Status CheckLimits(const Exposure& exposure) const;  // with mutex_
   Error Unavailable(const char* doing, const std::string& why) const;
 
   const std::string camera_;
@@ -87,6 +92,7 @@ class Handover {
   bool running_ = false;
   std::string away_;  // why the camera has gone; empty = it has not
   std::deque<ExposureRequest> requests_;
+  std::optional<Exposure> hint_;
   std::size_t taken_ = 0;
   std::deque<CameraFrame> frames_;
   std::unique_ptr<Stage> worker_;

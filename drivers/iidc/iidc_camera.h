@@ -38,6 +38,7 @@ class IidcCamera final : public Camera {
   void Stop() override;
   Status Trigger(const ExposureRequest& request) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
+  void Prepare(const Exposure& next) override;
 
   struct Counts {
     std::uint64_t torn = 0;    // frames with lost or surplus bytes
@@ -52,6 +53,7 @@ class IidcCamera final : public Camera {
     Exposure measured;
     std::uint32_t shutter_raw = 0;
     std::uint32_t gain_raw = 0;
+    bool settled = false;  // the pictures that may have had the one before are thrown away
   };
   // When the trigger was sent.
   struct Sent {

@@ -234,6 +234,7 @@ std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
 }
 
 std::optional<IidcDevice::Answer> IidcDevice::Refuses() {
+  ++requests_;
   if (!plugged_in_) return Answer::kGone;
   if (faults_.nak_registers > 0) {
     --faults_.nak_registers;
@@ -560,6 +561,11 @@ bool IidcDevice::plugged_in() const {
 std::uint32_t IidcDevice::Register(std::uint32_t offset) const {
   std::lock_guard lock(mutex_);
   return ReadOne(kBase + offset).value_or(0);
+}
+
+std::uint64_t IidcDevice::requests() const {
+  std::lock_guard lock(mutex_);
+  return requests_;
 }
 
 std::vector<HostTime> IidcDevice::trigger_times() const {

@@ -88,6 +88,7 @@ class IidcDevice {
   std::uint32_t Register(std::uint32_t offset) const;  // as it is, by offset from the command base
   int triggers_refused() const;                        // while the sensor was busy
   bool stall_pending() const;                          // Faults::stall_after has not come yet
+  std::uint64_t requests() const;                      // of registers, answered or not
   // When the triggers that were taken came, the first 100,000 of them.
   std::vector<HostTime> trigger_times() const;
 
@@ -141,6 +142,7 @@ class IidcDevice {
   HostTime busy_until_;
   std::uint32_t counter_ = 0;
   int triggers_refused_ = 0;
+  std::uint64_t requests_ = 0;
   std::vector<HostTime> trigger_times_;
   // Pictures without their words, by what they depend on: a scene that stands still.
   std::map<std::array<std::uint32_t, 5>, std::vector<std::byte>> pictures_;

@@ -63,6 +63,32 @@ class HandoverTest : public ::testing::Test {
   Handover handover_{"camera under test"};
 };
 
+TEST_F(HandoverTest, AHintWakesTheWorkerOnceAndGivesWayToARequest) {
+  Begin();
+  EXPECT_FALSE(handover_.TakeHint());
+  handover_.Prepare({ExposureTime::Seconds(0.02), GainDb{0.0}});
+  handover_.Prepare({ExposureTime::Seconds(0.03), GainDb{0.0}});
+  const SystemClock clock;
+  const HostTime before = clock.Now();
+  EXPECT_FALSE(Take(kLong)) << "a hint is no request";
+  EXPECT_LT(clock.Now() - before, kLong);
+  EXPECT_EQ(handover_.TakeHint()->time, ExposureTime::Seconds(0.03)) << "the last one counts";
+  EXPECT_FALSE(handover_.TakeHint());
+  handover_.Prepare({ExposureTime::Seconds(0.02), GainDb{0.0}});
+  ASSERT_TRUE(handover_.Trigger(Request(0)));
+  EXPECT_TRUE(Take());
+}
+
+TEST_F(HandoverTest, WhatTriggerWouldRefuseIsNoHint) {
+  Begin();
+  handover_.Prepare({ExposureTime::Seconds(1.0), GainDb{0.0}});
+  handover_.Prepare({ExposureTime::Seconds(0.01), GainDb{20.0}});
+  EXPECT_FALSE(handover_.TakeHint());
+  handover_.Prepare({ExposureTime::Seconds(0.01), GainDb{0.0}});
+  handover_.GoAway("unplugged");
+  EXPECT_FALSE(handover_.TakeHint());
+}
+
 TEST_F(HandoverTest, EveryTriggerOfACallerThreadIsTakenOnceAndEveryFrameReceivedInOrder) {
   handover_.Open(Limits());
   std::atomic<std::uint64_t> worked{0};

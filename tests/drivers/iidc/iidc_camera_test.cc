@@ -200,6 +200,52 @@ TEST_F(IidcCameraTest, SettlingPicturesAbsorbALatencyAndAreNoGaps) {
   }
 }
 
+TEST_F(IidcCameraTest, AnExposureThatWasPreparedIsSetBeforeItsTriggerComes) {
+  Begin();
+  TakeOne(0.001);
+  // Every register access of the next picture but the ready flag and the trigger itself.
+  const std::uint64_t before = emulated_->device->requests();
+  camera_->Prepare({ExposureTime::Seconds(0.004), GainDb{3.0}});
+  const HostTime deadline = emulated_->clock.Now() + std::chrono::seconds(10);
+  while (emulated_->device->requests() < before + 8 && emulated_->clock.Now() < deadline) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  const std::uint64_t prepared = emulated_->device->requests();
+  ASSERT_GE(prepared, before + 8);
+  const CameraFrame frame = TakeOne(0.004, 3.0);
+  EXPECT_EQ(emulated_->device->requests(), prepared + 2);
+  EXPECT_EQ(frame.proof, ExposureProof::kEmbedded);
+  ASSERT_TRUE(frame.measured_exposure) << frame.detail;
+  EXPECT_NEAR(frame.measured_exposure->time.seconds(), 0.004, 1e-4);
+  EXPECT_NEAR(frame.measured_exposure->gain.value, 3.0, 0.05);
+  // And a hint that was wrong costs nothing but itself.
+  camera_->Prepare({ExposureTime::Seconds(0.016), GainDb{0.0}});
+  const CameraFrame other = TakeOne(0.001);
+  ASSERT_TRUE(other.measured_exposure) << other.detail;
+  EXPECT_NEAR(other.measured_exposure->time.seconds(), 0.001, 1e-4);
+}
+
+TEST_F(IidcCameraTest, AnExposureThatWasPreparedSettlesAllTheSame) {
+  emulators::IidcDeviceOptions device;
+  device.exposure_latency = 2;
+  emulated_ = std::make_unique<EmulatedIidc>(device);
+  iidc::IidcCameraOptions options = emulated_->CameraOptions();
+  options.settle_frames = 2;
+  Begin(options);
+  for (const double seconds : {0.001, 0.004, 0.016, 0.001}) {
+    const std::uint64_t before = emulated_->device->requests();
+    camera_->Prepare({ExposureTime::Seconds(seconds), GainDb{0.0}});
+    const HostTime deadline = emulated_->clock.Now() + std::chrono::seconds(10);
+    while (emulated_->device->requests() < before + 8 && emulated_->clock.Now() < deadline) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+    const CameraFrame frame = TakeOne(seconds);
+    ASSERT_TRUE(frame.measured_exposure) << frame.detail;
+    EXPECT_NEAR(frame.measured_exposure->time.seconds() / seconds, 1.0, 0.01);
+  }
+}
+
 TEST_F(IidcCameraTest, ALatencyThatNobodyKnowsOfIsSeenInTheProof) {
   emulators::IidcDeviceOptions device;
   device.exposure_latency = 1;
