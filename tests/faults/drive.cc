@@ -114,6 +114,14 @@ std::string RecordedDrive::JournalText() const {
   return text;
 }
 
+std::string RecordedDrive::Damage(bool strict) const {
+  if (!fs::exists(session() / "session.json")) return {};
+  std::vector<std::string> arguments = {"verify", session().string()};
+  if (strict) arguments.emplace_back("--strict");
+  const auto [code, output] = integration::RunOmnihdr(arguments, directory());
+  return code == 0 ? "" : fmt::format("exit code {}: {}", code, output);
+}
+
 std::vector<std::string> RecordedDrive::Problems(const std::string& earlier) const {
   std::vector<std::string> problems;
   if (!JournalText().starts_with(earlier)) {

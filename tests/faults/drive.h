@@ -53,6 +53,9 @@ class RecordedDrive {
   std::vector<std::string> Problems(const std::string& earlier = "") const;
   // And of a session that has ended: that it is the reference, nothing missing, nothing else there.
   std::vector<std::string> Differences() const;
+  // What `omnihdr verify` says where it finds damage; empty when it finds none. `strict`: what an
+  // interrupted program left behind counts, too.
+  std::string Damage(bool strict) const;
   // The whole lines of the journal as it lies on disk.
   std::string JournalText() const;
 

@@ -35,11 +35,13 @@ class Killed : public ::testing::Test {
   // Judges what lies there after a kill; when the session is complete, judges that and begins anew.
   void Judge(const std::string& journal_before) {
     ASSERT_THAT(drive_.Problems(journal_before), IsEmpty()) << drive_.Log();
+    ASSERT_EQ(drive_.Damage(false), "");
     journal_ = drive_.JournalText();
     if (drive_.Ended()) Complete();
   }
   void Complete() {
     ASSERT_THAT(drive_.Differences(), IsEmpty()) << drive_.Log();
+    ASSERT_EQ(drive_.Damage(true), "");
     ++sessions_;
     drive_.Fresh();
     journal_.clear();

@@ -77,11 +77,13 @@ TEST(PowerCut, AfterAnyCallLosesNothingThatWasJournaledAndShowsNoHalfView) {
     if (!resumed.contains(i)) continue;
     drive.Fresh();
     disk.Write(Survives::kOnlyWhatIsSure, drive.session());
+    ASSERT_EQ(drive.Damage(false), "") << "after call " << i;
     const auto daemon = drive.Start();
     ASSERT_TRUE(Eventually([&] { return drive.Ended() || !daemon->running(); })) << drive.Log();
     daemon->Signal(SIGTERM);
     ASSERT_EQ(daemon->Wait(), 0) << drive.Log();
     ASSERT_THAT(drive.Differences(), IsEmpty()) << "resumed after call " << i;
+    ASSERT_EQ(drive.Damage(true), "") << "resumed after call " << i;
   }
   fmt::print(
       "{} disks after a power cut at each of {} calls; {} of them taken up again and ended with "

@@ -108,6 +108,7 @@ TEST_P(Storage, IsToldOfAndEveryTriggerHasItsLineAndNothingIsLostThatWasThere) {
   }
   // Pixels wait for the disk with their line; only where the line alone gets in they are lost.
   EXPECT_EQ(lost, trouble.is_trouble && trouble.lines_get_in ? kDuring : 0);
+  EXPECT_EQ(drive_.Damage(false), "");
   // And the views are those of this journal.
   const auto [code, output] = RunOmnihdr(
       {"process", drive_.session().string(), "--out", (drive_.directory() / "again").string(),
