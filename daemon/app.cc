@@ -111,6 +111,7 @@ Status App::ResumeSession() {
     if (record.odometer_m) last_odometer_m_ = record.odometer_m;
   }
   journaled_ = writer.next_frame();
+  durable_bytes_ = writer.durable_bytes();
   positions_with_pixels_ = with_pixels.size();
   if (!with_pixels.empty()) last_position_with_pixels_ = *with_pixels.rbegin();
   auto session = std::make_shared<Session>(std::move(writer));

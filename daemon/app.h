@@ -200,6 +200,7 @@ class App final : public ApiBackend {
   std::string camera_serial_;
   OutcomeCounts lines_;
   std::uint64_t journaled_ = 0;
+  std::uint64_t durable_bytes_ = 0;  // of the journal
   std::uint64_t positions_with_pixels_ = 0;
   std::int64_t last_position_with_pixels_ = -1;
   SessionProcessor::Counts views_;

@@ -160,6 +160,7 @@ void App::OnJournaled(const FrameRecord& record) {
     std::lock_guard lock(mutex_);
     lines_.Add(record.status);
     ++journaled_;
+    if (session_) durable_bytes_ = session_->store.writer().durable_bytes();
     views_caught_up_ = false;
     if (record.status == FrameStatus::kOk && Value(record.position) != last_position_with_pixels_) {
       last_position_with_pixels_ = Value(record.position);
@@ -286,6 +287,10 @@ Status App::RunPipeline(std::stop_token stop, Stage& self) {
       ProcessorCallbacks callbacks;
       callbacks.view_done = [this](const ViewDone& view) { OnViewDone(view); };
       callbacks.warning = [](const std::string& message) { spdlog::warn("{}", message); };
+      callbacks.durable_bytes = [this] {
+        std::lock_guard lock(mutex_);
+        return durable_bytes_;
+      };
       callbacks.quality_changed = [this](int level, int backlog) {
         OnQualityChanged(level, backlog);
       };

@@ -67,7 +67,9 @@ class SessionProcessorImpl final : public SessionProcessor {
         how_(how),
         governor_(how.overload),
         info_(std::move(info)),
-        follower_(session_) {}
+        follower_(session_) {
+    if (callbacks_.durable_bytes) follower_.ReadUpTo(callbacks_.durable_bytes);
+  }
 
   Status Prepare() {
     const CameraDescription& camera = info_.camera;

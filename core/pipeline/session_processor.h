@@ -29,6 +29,9 @@ struct ProcessorCallbacks {
   std::function<void(const std::string& message)> warning;  // may be empty
   // The level from now on, and how many positions wait; may be empty.
   std::function<void(int quality_level, int backlog)> quality_changed;
+  // How much of the journal is durable, in bytes: no more of it is read. Empty = all of it, which
+  // is right unless somebody is writing it. Any thread.
+  std::function<std::uint64_t()> durable_bytes;
 };
 
 // How a session is gone through; none of it decides what a view of a given quality level looks

@@ -35,6 +35,9 @@ class SessionWriter {
 
   const std::filesystem::path& directory() const { return directory_; }
   const SessionInfo& info() const { return info_; }
+  // How much of the journal is durable. What lies behind it may be taken back: the beginning of a
+  // line, or a line that could not be synchronised.
+  std::uint64_t durable_bytes() const { return journal_bytes_; }
   // Frames in the journal so far; the next frame number.
   std::uint64_t next_frame() const { return next_frame_; }
   // Position of the last line, or -1.

@@ -4,9 +4,11 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "core/base/file.h"
@@ -284,6 +286,9 @@ JournalFollower& JournalFollower::operator=(JournalFollower&&) noexcept = defaul
 JournalFollower::~JournalFollower() = default;
 
 Result<std::vector<FrameRecord>> JournalFollower::ReadNew() {
+  // Asked before the file is: what is durable by now is there.
+  const std::size_t limit =
+      limit_ ? std::max<std::size_t>(limit_(), offset_) : std::numeric_limits<std::size_t>::max();
   const Fd fd(::open(path_.c_str(), O_RDONLY | O_CLOEXEC));
   if (!fd.valid()) {
     return FailErrno(errno == ENOENT ? ErrorKind::kNoInput : ErrorKind::kIo, path_.string(), errno);
@@ -304,10 +309,11 @@ Result<std::vector<FrameRecord>> JournalFollower::ReadNew() {
   constexpr std::size_t kMaxPending = std::size_t{1} << 26;
   for (;;) {
     const std::size_t kept = text.size();
-    text.resize(kept + kChunk);
+    const std::size_t chunk = std::min(kChunk, limit - offset_ - kept);
+    text.resize(kept + chunk);
     ssize_t n = 0;
     do {
-      n = ::pread(fd.get(), text.data() + kept, kChunk, static_cast<off_t>(offset_ + kept));
+      n = ::pread(fd.get(), text.data() + kept, chunk, static_cast<off_t>(offset_ + kept));
     } while (n < 0 && errno == EINTR);
     if (n < 0) return FailErrno(ErrorKind::kIo, path_.string(), errno);
     text.resize(kept + static_cast<std::size_t>(n));

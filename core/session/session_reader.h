@@ -1,11 +1,14 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "core/base/result.h"
@@ -53,6 +56,9 @@ class JournalFollower {
   JournalFollower(JournalFollower&&) noexcept;
   JournalFollower& operator=(JournalFollower&&) noexcept;
   ~JournalFollower();
+  // Reads no further than `bytes` says when ReadNew is called: for whoever knows the writer and
+  // must not see what it may take back.
+  void ReadUpTo(std::function<std::uint64_t()> bytes) { limit_ = std::move(bytes); }
   // Lines completed since the last call, malformed ones rejected as by ParseJournal. A last line
   // that is not whole yet is left for later (it is torn only if the writer is gone: TornTail).
   Result<std::vector<FrameRecord>> ReadNew();
@@ -65,6 +71,7 @@ class JournalFollower {
 
  private:
   std::filesystem::path path_;
+  std::function<std::uint64_t()> limit_;  // empty = to the end
   std::size_t offset_ = 0;
   std::size_t torn_bytes_ = 0;
   int next_line_ = 1;

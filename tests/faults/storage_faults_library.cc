@@ -142,6 +142,12 @@ auto Do(const Doing& doing, const Real& real, const Half& half) -> decltype(real
     half();
     Die();
   }
+  if (call == Call::kSync || call == Call::kSyncDirectory) {
+    if (const std::uint32_t slow = c->slow_sync_us) ::usleep(slow);
+  } else if (call == Call::kWrite) {
+    const std::uint64_t slow = c->slow_megabyte_us;
+    if (slow != 0) ::usleep(static_cast<useconds_t>(slow * doing.header.data_bytes / 1'000'000));
+  }
   if ((c->error_files & 1U << file_index) != 0) {
     int error = c->error[call_index];
     if (c->fail_at != 0 && c->fail_at == of_all) error = c->fail_error;
@@ -162,12 +168,6 @@ auto Do(const Doing& doing, const Real& real, const Half& half) -> decltype(real
       errno = error;
       return -1;
     }
-  }
-  if (call == Call::kSync || call == Call::kSyncDirectory) {
-    if (const std::uint32_t slow = c->slow_sync_us) ::usleep(slow);
-  } else if (call == Call::kWrite) {
-    const std::uint64_t slow = c->slow_megabyte_us;
-    if (slow != 0) ::usleep(static_cast<useconds_t>(slow * doing.header.data_bytes / 1'000'000));
   }
   decltype(real()) result{};
   if (c->record[0] != '\0') {

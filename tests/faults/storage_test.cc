@@ -6,6 +6,8 @@
 #include <signal.h>
 
 #include <cerrno>
+#include <chrono>
+#include <thread>
 
 #include "core/base/crc32c.h"
 #include "core/base/file.h"
@@ -23,6 +25,7 @@ using faults::StorageFaults;
 using integration::FilesBelow;
 using integration::RunOmnihdr;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 constexpr int kBefore = 2;
 constexpr int kDuring = 2;
@@ -34,6 +37,7 @@ struct Trouble {
   std::string message;       // what the status says
   bool lines_get_in = true;  // while it lasts
   bool is_trouble = true;    // and not only slow
+  int watch_s = 0;           // how long the views are watched meanwhile
 };
 void PrintTo(const Trouble& trouble, std::ostream* out) { *out << trouble.name; }
 
@@ -78,6 +82,15 @@ TEST_P(Storage, IsToldOfAndEveryTriggerHasItsLineAndNothingIsLostThatWasThere) {
     EXPECT_GT(drive_.faults().failed(), 0U);
   }
   EXPECT_TRUE(drive_.JournalText().starts_with(before));
+  // The pipeline never sees a line that is taken back.
+  const auto watched = std::chrono::steady_clock::now() + std::chrono::seconds(trouble.watch_s);
+  while (std::chrono::steady_clock::now() < watched) {
+    const nlohmann::json status = drive_.Status();
+    if (status.is_object()) {
+      ASSERT_THAT(status["views"]["error"].get<std::string>(), Not(HasSubstr("frames.jsonl")));
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
 
   drive_.faults().Clear();
   lines_must_get_in_ = true;
@@ -150,6 +163,12 @@ INSTANTIATE_TEST_SUITE_P(
                   f.Fail({Call::kSync, Call::kSyncDirectory}, EIO);
                 },
                 "Input/output error", false},
+        Trouble{"FailingToSynchroniseTheJournalAfterAWhile",
+                [](StorageFaults& f) {
+                  f.Slow(1'500'000, 0);
+                  f.Fail({Call::kSync}, EIO, 1U << static_cast<std::uint32_t>(File::kJournal));
+                },
+                "Input/output error", false, true, 5},
         Trouble{"Gone",
                 [](StorageFaults& f) {
                   f.Fail(

@@ -297,6 +297,29 @@ TEST(JournalFollower, SeesEachLineOnceAsItIsCompleted) {
   EXPECT_FALSE(follower.TornTail());
 }
 
+TEST(JournalFollower, WhatTheWriterMayTakeBackIsNotSeen) {
+  const test::TemporaryDirectory directory;
+  const std::filesystem::path path = directory.path() / "frames.jsonl";
+  JournalFollower follower(directory.path());
+  std::uint64_t durable = Line(0, 0).size();
+  follower.ReadUpTo([&durable] { return durable; });
+  const auto numbers = [&follower] {
+    Result<std::vector<FrameRecord>> frames = follower.ReadNew();
+    EXPECT_TRUE(frames) << frames.error().message;
+    return frames ? FrameNumbers(*frames) : std::vector<std::uint64_t>{};
+  };
+  test::Spill(path, Line(0, 0) + Line(1, 1));
+  EXPECT_THAT(numbers(), ElementsAre(0));
+  EXPECT_THAT(numbers(), IsEmpty());
+  // Taken back, and another line in its place.
+  test::Spill(path, Line(0, 0));
+  EXPECT_THAT(numbers(), IsEmpty());
+  test::Spill(path, Line(0, 0) + Line(17, 17) + Line(18, 18));
+  durable += Line(17, 17).size();
+  EXPECT_THAT(numbers(), ElementsAre(17));
+  EXPECT_EQ(follower.rejected(), 0U);
+}
+
 TEST(JournalFollower, APieceOfALineWaitsAndIsToldAsTornWhenTheWriterHasGone) {
   const test::TemporaryDirectory directory;
   test::Spill(directory.path() / "frames.jsonl", Line(0, 0) + "{\"frame\": 1");
