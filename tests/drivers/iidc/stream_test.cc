@@ -166,13 +166,38 @@ TEST(CameraClock, TheErrorStaysWithinTheUncertaintyWhileTheClocksDrift) {
   }
 }
 
-TEST(CameraClock, AClockThatWasSetAnewBeginsANewFit) {
+TEST(CameraClock, AClockThatWasSetAnewBeginsANewFitOnceThreeFramesAgree) {
   CameraClock clock;
-  clock.Add(CameraTime::FromNanoseconds(1000), HostTime::FromNanoseconds(2000),
-            HostTime::FromNanoseconds(2010));
-  clock.Add(CameraTime::FromNanoseconds(1100), HostTime::FromNanoseconds(9'000'000),
-            HostTime::FromNanoseconds(9'000'010));
-  EXPECT_EQ(clock.ToHost(CameraTime::FromNanoseconds(1100)), HostTime::FromNanoseconds(9'000'005));
+  const auto add = [&clock](std::int64_t camera, std::int64_t host) {
+    clock.Add(CameraTime::FromNanoseconds(camera), HostTime::FromNanoseconds(host),
+              HostTime::FromNanoseconds(host + 10));
+  };
+  add(1000, 2000);
+  for (const std::int64_t camera : {1100, 1200}) {
+    add(camera, 9'000'000 + camera);
+    EXPECT_FALSE(clock.ToHost(CameraTime::FromNanoseconds(camera)));
+  }
+  EXPECT_EQ(clock.jumps(), 0U);
+  add(1300, 9'001'300);
+  EXPECT_EQ(clock.ToHost(CameraTime::FromNanoseconds(1300)), HostTime::FromNanoseconds(9'001'305));
+  EXPECT_EQ(clock.jumps(), 1U);
+  EXPECT_EQ(clock.outliers(), 0U);
+}
+
+TEST(CameraClock, AFrameThatContradictsTheOthersIsAnOutlierAndChangesNothing) {
+  CameraClock clock;
+  const auto add = [&clock](std::int64_t camera, std::int64_t host) {
+    clock.Add(CameraTime::FromNanoseconds(camera), HostTime::FromNanoseconds(host),
+              HostTime::FromNanoseconds(host + 10));
+  };
+  add(1000, 2000);
+  add(2000, 3000);
+  add(3000, 70'000);   // stamped far too late
+  add(4000, 500'000);  // and so is this, by another amount
+  add(5000, 6000);
+  EXPECT_EQ(clock.ToHost(CameraTime::FromNanoseconds(5000)), HostTime::FromNanoseconds(6005));
+  EXPECT_EQ(clock.outliers(), 2U);
+  EXPECT_EQ(clock.jumps(), 0U);
 }
 
 }  // namespace
