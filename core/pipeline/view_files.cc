@@ -5,6 +5,7 @@
 #include <bit>
 #include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -13,6 +14,7 @@
 #include "core/base/parallel_for.h"
 #include "core/base/profile.h"
 #include "core/base/simd.h"
+#include "core/image/exif.h"
 #include "core/image/exr.h"
 #include "core/image/image_io.h"
 #include "core/photometry/clipped.h"
@@ -134,24 +136,78 @@ Image<float> AsFloat(const Image<std::uint8_t>& image) {
   return out;
 }
 
+// "2026-01-01T00:00:00.25Z" as receivers say it.
+std::optional<UtcTime> UtcFromText(const std::string& text) {
+  int year = 0;
+  unsigned month = 0;
+  unsigned day = 0;
+  int hour = 0;
+  int minute = 0;
+  double second = 0.0;
+  if (std::sscanf(text.c_str(), "%4d-%2u-%2uT%2d:%2d:%lf", &year, &month, &day, &hour, &minute,
+                  &second) != 6) {
+    return std::nullopt;
+  }
+  namespace chrono = std::chrono;
+  const chrono::year_month_day date{chrono::year(year), chrono::month(month), chrono::day(day)};
+  // A leap second is second 60.
+  if (!date.ok() || year < 1970 || year > 2200 || hour < 0 || hour > 23 || minute < 0 ||
+      minute > 59 || !(second >= 0.0 && second < 61.0)) {
+    return std::nullopt;
+  }
+  const std::int64_t whole =
+      (chrono::sys_days(date).time_since_epoch().count() * 24 + hour) * 3600 + 60 * minute;
+  return UtcTime::FromNanoseconds(whole * 1'000'000'000 + std::llround(second * 1e9));
+}
+
+// What is known of where and when, for programs that order pictures by that. A frame without a fix
+// has no place.
+ExifInfo ExifOf(const ViewContext& context, std::optional<double> bearing_deg) {
+  ExifInfo info;
+  info.utc = context.utc;
+  info.bearing_deg = bearing_deg;
+  if (context.reference_exposure_s > 0.0) info.exposure_s = context.reference_exposure_s;
+  info.model = context.camera;
+  info.software = "omnihdr " OMNIHDR_VERSION;
+  if (context.gnss && context.gnss->fix > 0) {
+    const GnssFix& fix = *context.gnss;
+    ExifPlace& place = info.place.emplace();
+    place.lat_deg = fix.lat_deg;
+    place.lon_deg = std::remainder(fix.lon_deg, 360.0);
+    if (fix.dimensions != 2) place.alt_m = fix.alt_m;
+    place.error_m = fix.error_m;
+    place.utc = UtcFromText(fix.time);
+    place.differential = fix.fix == 2 || fix.fix == 4 || fix.fix == 5;
+  }
+  return info;
+}
+
+// Compass bearing of the picture's middle, in [0, 360).
+std::optional<double> BearingOfMiddle(const Eigen::Quaterniond& camera_from_output,
+                                      const ViewContext& context) {
+  if (!context.heading_deg || !std::isfinite(*context.heading_deg)) return std::nullopt;
+  // The picture's middle looks along the output's X axis, turned against the camera's: a bearing
+  // grows clockwise, an azimuth counter-clockwise.
+  const Eigen::Vector3d middle = camera_from_output * Eigen::Vector3d::UnitX();
+  const double azimuth_deg = std::atan2(middle.y(), middle.x()) * 180.0 / std::numbers::pi;
+  double bearing = std::fmod(*context.heading_deg - azimuth_deg, 360.0);
+  if (bearing < 0.0) bearing += 360.0;
+  return bearing >= 360.0 ? 0.0 : bearing;
+}
+
 Result<std::vector<std::byte>> Preview(const Image<float>& radiance,
                                        const Eigen::Quaterniond& camera_from_output,
                                        bool is_latlong, const ViewContext& context) {
   ToneMapOptions options = context.preview;
   options.shape = is_latlong ? PictureShape::kSphere : PictureShape::kPlane;
   const Image<std::uint8_t> preview = ToneMap(radiance, options);
-  if (!is_latlong) return EncodeJpeg(preview, context.preview_quality);
-  PhotoSphere sphere{.full_width = preview.width(), .full_height = preview.height()};
-  if (context.heading_deg && std::isfinite(*context.heading_deg)) {
-    // The picture's middle looks along the output's X axis, turned against the camera's: a bearing
-    // grows clockwise, an azimuth counter-clockwise.
-    const Eigen::Vector3d middle = camera_from_output * Eigen::Vector3d::UnitX();
-    const double azimuth_deg = std::atan2(middle.y(), middle.x()) * 180.0 / std::numbers::pi;
-    const double bearing = std::fmod(*context.heading_deg - azimuth_deg, 360.0);
-    sphere.heading_deg = bearing < 0.0 ? bearing + 360.0 : bearing;
-    if (*sphere.heading_deg >= 360.0) sphere.heading_deg = 0.0;
-  }
-  return EncodeJpeg(preview, context.preview_quality, sphere);
+  const std::optional<double> bearing = BearingOfMiddle(camera_from_output, context);
+  const PhotoSphere sphere{
+      .full_width = preview.width(), .full_height = preview.height(), .heading_deg = bearing};
+  OMNIHDR_ASSIGN(std::vector<std::byte> jpeg,
+                 is_latlong ? EncodeJpeg(preview, context.preview_quality, sphere)
+                            : EncodeJpeg(preview, context.preview_quality));
+  return WithExif(std::move(jpeg), ExifOf(context, bearing));
 }
 
 Status WritePictures(const std::filesystem::path& directory, const MergedView& view,
