@@ -81,6 +81,12 @@ int RemoveTemporaryFiles(const fs::path& directory) {
   return removed;
 }
 
+bool HoldsFiles(const fs::path& directory) {
+  std::error_code error;
+  const fs::directory_iterator it(directory, error);
+  return !error && it != fs::directory_iterator();
+}
+
 // Whether a relative path stays within the directory it is relative to.
 bool IsInside(const fs::path& path) {
   return path.is_relative() &&
@@ -127,8 +133,16 @@ Result<SessionWriter> SessionWriter::Resume(const fs::path& directory) {
   OMNIHDR_ASSIGN(const std::string info_text,
                  ReadTextFile(InfoPath(directory), session_limits::kMaxInfoBytes));
   OMNIHDR_ASSIGN(writer.info_, ParseSessionInfo(info_text, info_name));
-  OMNIHDR_ASSIGN(writer.journal_, OpenJournal(directory));
   const fs::path journal_path = JournalPath(directory);
+  // A new journal would number from 0 and write over the pictures of the one that is gone.
+  std::error_code error;
+  if (!fs::exists(journal_path, error) && HoldsFiles(directory / "raw")) {
+    return Fail(ErrorKind::kData,
+                "{}: missing, expected the journal of the pictures in {}: put it back, or move "
+                "them away",
+                journal_path.string(), (directory / "raw").string());
+  }
+  OMNIHDR_ASSIGN(writer.journal_, OpenJournal(directory));
   OMNIHDR_ASSIGN(const std::string text,
                  ReadTextFile(journal_path, session_limits::kMaxJournalBytes));
 

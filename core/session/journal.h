@@ -23,8 +23,8 @@ class SessionWriter {
   // when the directory already holds a session.
   static Result<SessionWriter> Create(const std::filesystem::path& directory,
                                       const SessionInfo& info);
-  // Continues an existing session: drops a torn last line from the journal, removes temporary
-  // files, and goes on with the next frame number.
+  // Continues an existing session: drops a torn last line, removes temporary files, goes on with
+  // the next frame number. Refuses when the journal is gone and pictures are there (kData).
   static Result<SessionWriter> Resume(const std::filesystem::path& directory);
 
   // Stores `file_bytes` (an encoded PNG, ...) as record.file, syncs it, then appends the line. When

@@ -29,7 +29,7 @@ std::string_view ToString(FindingKind kind);
 //   raw/          raw-missing, raw-empty, raw-unreadable, raw-checksum, raw-undecodable, raw-size,
 //                 raw-named-twice, raw-unjournaled, temporary-file, unknown-file
 //   views/        view-temporary, view-incomplete, view-unreadable, view-channels, view-size,
-//                 view-values, view-checksum, view-mismatch, view-journal, view-unknown-file,
+//                 view-values, view-mismatch, view-journal, view-unknown-file,
 //                 views-missing
 struct SessionFinding {
   FindingKind kind = FindingKind::kNote;

@@ -34,8 +34,7 @@ constexpr int kMaxNames = 10'000;  // of one name in lost+found
 // Findings that say a view is not whole or cannot be read.
 bool IsViewDamage(const std::string& code) {
   return code == "view-incomplete" || code == "view-unreadable" || code == "view-channels" ||
-         code == "view-size" || code == "view-values" || code == "view-mismatch" ||
-         code == "view-checksum";
+         code == "view-size" || code == "view-values" || code == "view-mismatch";
 }
 
 std::optional<RepairKind> KindFor(const std::string& code) {

@@ -93,6 +93,22 @@ TEST(SessionWriter, RefusesASecondWriter) {
   EXPECT_THAT(second.error().message, HasSubstr("another process is writing this session"));
 }
 
+TEST(SessionWriter, DoesNotBeginANewJournalOverThePicturesOfOneThatIsGone) {
+  const test::TemporaryDirectory directory;
+  {
+    SessionWriter writer = MustCreate(directory.path());
+    ASSERT_TRUE(writer.Append(test::SampleRecord(0, 0), Pixels(10)));
+  }
+  fs::remove(directory.path() / "frames.jsonl");
+  const Result<SessionWriter> resumed = SessionWriter::Resume(directory.path());
+  ASSERT_FALSE(resumed);
+  EXPECT_EQ(resumed.error().kind, ErrorKind::kData);
+  EXPECT_THAT(resumed.error().message, HasSubstr("frames.jsonl: missing"));
+  EXPECT_FALSE(fs::exists(directory.path() / "frames.jsonl"));
+  fs::remove_all(directory.path() / "raw");
+  EXPECT_TRUE(SessionWriter::Resume(directory.path()));
+}
+
 TEST(SessionWriter, RefusesWhatCouldNotBeReadBack) {
   const test::TemporaryDirectory directory;
   SessionWriter writer = MustCreate(directory.path());
