@@ -41,6 +41,7 @@ void AddRepairCommand(CLI::App& app, CommandRun& run);
 void AddManualCommands(CLI::App& app, CommandRun& run);  // manual, completion
 void AddDoctorCommand(CLI::App& app, CommandRun& run);
 void AddSupportBundleCommand(CLI::App& app, CommandRun& run);
+void AddExportCommand(CLI::App& app, CommandRun& run);  // to COLMAP, OpenSfM, TUM
 void AddControlCommands(CLI::App& app,
                         CommandRun& run);  // status, arm, disarm, trigger, watch, stop
 

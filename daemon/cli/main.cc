@@ -24,6 +24,7 @@ constexpr std::array kCommands = {
     AddVerifyCommand,
     AddRepairCommand,
     AddViewCommand,
+    AddExportCommand,
     AddSimulateCommand,
     AddEvaluateCommand,
     AddContactSheetCommand,
