@@ -293,5 +293,33 @@ class Limits(unittest.TestCase):
         self.assertGreaterEqual(int(megabytes), 64)
 
 
+class Packaging(unittest.TestCase):
+    DEBIAN = SYSTEMD / "debian"
+
+    def test_an_update_neither_stops_nor_restarts_the_service(self):
+        rules = (self.DEBIAN / "rules").read_text(encoding="utf-8")
+        self.assertIn("dh_installsystemd --no-stop-on-upgrade --no-restart-after-upgrade", rules)
+
+    def test_the_user_is_made_and_neither_it_nor_its_data_are_removed(self):
+        self.assertIn("--with installsysusers", (self.DEBIAN / "rules").read_text(encoding="utf-8"))
+        self.assertEqual(list(self.DEBIAN.glob("*.postrm")) + list(self.DEBIAN.glob("*.prerm")), [])
+        self.assertNotRegex((self.DEBIAN / "omnihdr.postinst").read_text(encoding="utf-8"), r"\brm\b|deluser")
+
+    def test_it_is_built_with_the_libraries_that_everything_else_is_built_with(self):
+        listed = (TOP / "scripts/packages.txt").read_text(encoding="utf-8")
+        libraries = re.search(r"(?ms)^\[libraries\]\n(.*?)\n\n", listed).group(1).split()
+        done = subprocess.run([TOP / "scripts/package", "--control"], capture_output=True, text=True, check=True,
+                              timeout=60)
+        source = done.stdout.split("\n\n")[0]
+        for library in libraries:
+            self.assertIn(f"\n {library},", source)
+        self.assertNotRegex(source, r"@[A-Z]+@")
+
+    def test_its_scripts_can_be_read_by_a_shell(self):
+        for script in (self.DEBIAN / "omnihdr.postinst", self.DEBIAN / "tests/simulated-drive",
+                       TOP / "tests/systemd/package_test.sh"):
+            subprocess.run(["sh", "-n", script], check=True, timeout=60)
+
+
 if __name__ == "__main__":
     sys.exit(unittest.main())
