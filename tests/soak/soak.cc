@@ -15,6 +15,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <random>
+#include <stdexcept>
 #include <thread>
 
 #include "core/session/session_reader.h"
@@ -69,7 +70,7 @@ class FastClock {
   const std::string log = daemon.Log();
   fmt::print(stderr, "soak: {}:\n{}\n", message,
              log.substr(log.size() - std::min<std::size_t>(log.size(), 4000)));
-  std::_Exit(1);
+  throw std::runtime_error(message);  // the daemon and its files go on the way out
 }
 
 Sample Look(pid_t pid, double hour) {
@@ -253,7 +254,11 @@ int Main(int argc, char** argv) {
   app.add_option("--plot", options.plot, "picture of memory, descriptors, latency; .png or .svg");
   app.add_option("--directory", options.directory, "where the session is written");
   CLI11_PARSE(app, argc, argv);
-  return Run(options);
+  try {
+    return Run(options);
+  } catch (const std::exception&) {
+    return 1;  // told before
+  }
 }
 
 }  // namespace

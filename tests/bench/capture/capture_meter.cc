@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <filesystem>
 #include <fstream>
 #include <iostream>
@@ -278,4 +279,11 @@ int Main(int argc, char** argv) {
 }  // namespace
 }  // namespace omnihdr::bench
 
-int main(int argc, char** argv) { return omnihdr::bench::Main(argc, argv); }
+int main(int argc, char** argv) {
+  try {
+    return omnihdr::bench::Main(argc, argv);
+  } catch (const std::exception& e) {
+    fmt::print(stderr, "capture_meter: {}\n", e.what());
+    return 1;
+  }
+}

@@ -8,9 +8,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <fstream>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 #include "core/session/session_reader.h"
@@ -38,10 +38,7 @@ emulators::IidcDeviceOptions Head(const HeadSize& size) {
 
 }  // namespace
 
-void GiveUp(const std::string& message) {
-  fmt::print(stderr, "capture_meter: {}\n", message);
-  std::_Exit(1);
-}
+void GiveUp(const std::string& message) { throw std::runtime_error(message); }
 
 MemoryWatch::MemoryWatch(pid_t pid)
     : thread_([this, pid](std::stop_token stop) {

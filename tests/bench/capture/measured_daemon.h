@@ -55,7 +55,7 @@ struct HeadSize {
 };
 
 // omnihdrd with an emulated six-sensor head on USB and a trigger line, in a directory of its own.
-// Everything stops with an error message and exit code 1 when it does not work at all.
+// Everything stops by GiveUp when it does not work at all.
 class MeasuredDaemon {
  public:
   // `more` goes behind the configuration.
@@ -98,6 +98,7 @@ std::unique_ptr<integration::Program> StartAsService(const std::string& name,
 // The share-th value of those sorted; NaN without any.
 double Quantile(std::vector<double> values, double share);
 
+// Ends the measurement: an exception that main tells of, so that the daemon and its files go.
 [[noreturn]] void GiveUp(const std::string& message);
 
 }  // namespace omnihdr::bench
