@@ -220,6 +220,8 @@ Result<std::vector<Applied>> Controls::Set(std::span<const Wanted> wanted) const
       what += fmt::format(" {} to {}, expected {} to {} in steps of {}", Spelled(control),
                           applied[i].written, control.minimum, control.maximum, control.step);
     }
+    // How uvcvideo passes on that a camera refuses it for the state it is in.
+    if (called == -EILSEQ) what += " (the camera is in no state for it)";
     return FailCall(what, called);
   }
   for (std::size_t i = 0; i < wanted.size(); ++i) {

@@ -12,6 +12,7 @@
 
 #include "core/base/clock.h"
 #include "core/sphere/rig.h"
+#include "tests/emulators/device_answer.h"
 
 namespace omnihdr::emulators {
 
@@ -44,20 +45,15 @@ struct IidcDeviceOptions {
 // or in process. Time is the clock's. Thread-safe.
 class IidcDevice {
  public:
-  enum class Answer { kOk, kStall, kNak, kGone };
+  using Answer = DeviceAnswer;
 
   explicit IidcDevice(const IidcDeviceOptions& options, const Clock& clock);
 
   Answer Read(std::uint64_t address, std::span<std::uint32_t> quadlets);
   Answer Write(std::uint64_t address, std::uint32_t value);
 
-  // Moves what is ready into `buffer`. `ended`: a short (or empty) packet ended the transfer, or
-  // the buffer is full.
-  struct Moved {
-    Answer answer = Answer::kNak;  // kNak: nothing yet
-    std::size_t bytes = 0;
-    bool ended = false;
-  };
+  // Moves what is ready into `buffer`.
+  using Moved = DeviceMoved;
   Moved ReadStream(std::span<std::byte> buffer);
 
   // Faults; the counts are of the next pictures or requests.

@@ -246,7 +246,7 @@ struct UmockdevUsb::Impl {
   }
 
   const std::shared_ptr<IidcDevice> device;
-  IidcUsbFunction function{*device};
+  IidcUsbFunction function{device};
   Ref<UMockdevTestbed> testbed;
   Ref<UMockdevIoctlBase> handler;
   std::string node;

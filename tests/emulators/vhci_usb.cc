@@ -19,17 +19,15 @@
 #include <vector>
 
 #include "core/base/file.h"
-#include "tests/emulators/iidc_usb_function.h"
 
 namespace omnihdr::emulators {
 namespace {
 
-using Answer = IidcDevice::Answer;
+using Answer = DeviceAnswer;
 
 constexpr const char* kAttach = "/sys/devices/platform/vhci_hcd.0/attach";
-constexpr int kPort = 0;  // 0 to 7 are those of high speed
-constexpr int kDeviceId =
-    0x10002;  // bus 1, device 2 of the machine the device is said to come from
+// Bus 1, device 2 and on of the machine the device is said to come from.
+constexpr int kFirstDeviceId = 0x10002;
 constexpr int kHighSpeed = 3;
 
 // A message of USB/IP (Documentation/usb/usbip_protocol.rst of the kernel): twelve words, the most
@@ -85,7 +83,8 @@ int StatusOf(Answer answer) {
 }  // namespace
 
 struct VhciUsb::Impl {
-  explicit Impl(std::shared_ptr<IidcDevice> device_in) : device(std::move(device_in)) {}
+  Impl(std::shared_ptr<UsbFunction> function_in, int port_in)
+      : function(std::move(function_in)), port(port_in) {}
 
   bool Attach() {
     int ends[2] = {-1, -1};
@@ -93,7 +92,7 @@ struct VhciUsb::Impl {
     socket = Fd(ends[0]);
     const Fd kernels(ends[1]);
     const std::string text =
-        fmt::format("{} {} {} {}", kPort, kernels.get(), kDeviceId, kHighSpeed);
+        fmt::format("{} {} {} {}", port, kernels.get(), kFirstDeviceId + port, kHighSpeed);
     // The port is in use until the kernel has done with the device that was there before.
     const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
     const auto size = static_cast<ssize_t>(text.size());
@@ -140,14 +139,14 @@ struct VhciUsb::Impl {
     const bool in = message[kInAt] == 1;
     std::vector<std::uint8_t> data(in ? 0 : length);
     if (!ReceiveAll(socket.get(), data.data(), data.size())) return false;
-    if (message[kEndpointAt] == (IidcUsbFunction::kStreamEndpoint & 0x0F) && in) {
+    if (message[kEndpointAt] == (function->stream_endpoint() & 0x0FU) && in) {
       urbs.push_back({message[kNumberAt], true, std::vector<std::byte>(length), 0});
       return true;
     }
     if (message[kEndpointAt] != 0) return Reply(message[kNumberAt], -EPIPE, 0, nullptr, 0);
-    IidcUsbFunction::Setup setup;
+    UsbFunction::Setup setup;
     std::copy_n(raw.begin() + 4 * kSetupAt, setup.size(), setup.begin());
-    const Answer answer = function.Control(setup, data);
+    const Answer answer = function->Control(setup, data);
     if (answer == Answer::kNak) {
       urbs.push_back({message[kNumberAt], false, {}, 0});
       return true;
@@ -174,8 +173,7 @@ struct VhciUsb::Impl {
         ++urb;
         continue;
       }
-      const IidcDevice::Moved moved =
-          device->ReadStream(std::span(urb->buffer).subspan(urb->filled));
+      const DeviceMoved moved = function->ReadStream(std::span(urb->buffer).subspan(urb->filled));
       urb->filled += moved.bytes;
       if (!moved.ended) return true;
       if (!Reply(urb->number, StatusOf(moved.answer), urb->filled, urb->buffer.data(), urb->filled))
@@ -209,27 +207,27 @@ struct VhciUsb::Impl {
     std::abort();
   }
 
-  const std::shared_ptr<IidcDevice> device;
-  IidcUsbFunction function{*device};
+  const std::shared_ptr<UsbFunction> function;
+  const int port;
   Fd socket;
   std::list<Urb> urbs;  // the worker's own
   std::thread worker;
 };
 
-VhciUsb::VhciUsb(std::shared_ptr<IidcDevice> device)
-    : impl_(std::make_unique<Impl>(std::move(device))) {
+VhciUsb::VhciUsb(std::shared_ptr<UsbFunction> function, int port)
+    : impl_(std::make_unique<Impl>(std::move(function), port)) {
   impl_->PlugIn();
 }
 
 VhciUsb::~VhciUsb() { impl_->Detach(); }
 
 void VhciUsb::Unplug() {
-  impl_->device->Unplug();
+  impl_->function->Unplug();
   impl_->Detach();
 }
 
 void VhciUsb::PlugIn() {
-  impl_->device->PlugIn();
+  impl_->function->PlugIn();
   impl_->PlugIn();
 }
 

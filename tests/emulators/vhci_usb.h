@@ -2,7 +2,7 @@
 
 #include <memory>
 
-#include "tests/emulators/iidc_device.h"
+#include "tests/emulators/usb_function.h"
 
 namespace omnihdr::emulators {
 
@@ -12,8 +12,8 @@ namespace omnihdr::emulators {
 // vhci-hcd and root.
 class VhciUsb {
  public:
-  // Plugged in, to a port of high speed. Without vhci_hcd the program ends.
-  explicit VhciUsb(std::shared_ptr<IidcDevice> device);
+  // Plugged in, to a port of high speed: 0 to 7. Without vhci_hcd the program ends.
+  explicit VhciUsb(std::shared_ptr<UsbFunction> function, int port = 0);
   ~VhciUsb();
   VhciUsb(const VhciUsb&) = delete;
   VhciUsb& operator=(const VhciUsb&) = delete;

@@ -16,6 +16,7 @@
 #include "daemon/api/client.h"
 #include "drivers/modbus/connection.h"
 #include "tests/emulators/iidc_link.h"
+#include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
 #include "tests/integration/programs.h"
 #include "tests/kernel/sim_chip.h"
@@ -148,7 +149,7 @@ class Appliance : public ::testing::Test {
   kernel::SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out", "wheel-in"}};
   std::shared_ptr<emulators::IidcDevice> device_ =
       std::make_shared<emulators::IidcDevice>(emulators::IidcDeviceOptions{}, clock_);
-  emulators::VhciUsb plug_{device_};
+  emulators::VhciUsb plug_{std::make_shared<emulators::IidcUsbFunction>(device_)};
   std::unique_ptr<Program> daemon_;
   std::uint64_t edges_ = 0;
 };

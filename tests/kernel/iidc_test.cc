@@ -12,6 +12,7 @@
 #include "drivers/iidc/usb_link.h"
 #include "drivers/usb/libusb_bus.h"
 #include "tests/drivers/iidc/emulated.h"
+#include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
 #include "tests/integration/programs.h"
 
@@ -71,7 +72,7 @@ class CameraOnTheKernelsUsb : public ::testing::Test {
   }
 
   testing::EmulatedIidc emulated_;
-  emulators::VhciUsb plug_{emulated_.device};
+  emulators::VhciUsb plug_{std::make_shared<emulators::IidcUsbFunction>(emulated_.device)};
   std::shared_ptr<usb::Bus> bus_ = usb::MakeLibusbBus();
 };
 

@@ -12,6 +12,7 @@
 #include "core/base/clock.h"
 #include "tests/emulators/iidc_device.h"
 #include "tests/emulators/iidc_link.h"
+#include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
 
 int main(int argc, char** argv) {
@@ -30,6 +31,7 @@ int main(int argc, char** argv) {
     fmt::print(stderr, "plugged_camera: cannot write {}\n", argv[1]);
     return 73;
   }
-  const emulators::VhciUsb plug(std::make_shared<emulators::IidcDevice>(options, clock));
+  const emulators::VhciUsb plug(std::make_shared<emulators::IidcUsbFunction>(
+      std::make_shared<emulators::IidcDevice>(options, clock)));
   while (true) ::pause();
 }
