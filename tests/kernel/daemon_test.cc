@@ -1,120 +1,54 @@
-// omnihdrd as on a vehicle: a camera on the kernel's USB, a trigger and lamps on the kernel's GPIO,
-// a Modbus master that watches.
+// omnihdrd as on a vehicle, with an IIDC camera on the kernel's USB.
 
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <signal.h>
 
-#include <array>
 #include <fstream>
 #include <memory>
-#include <nlohmann/json.hpp>
 
 #include "core/image/image_io.h"
-#include "core/session/session_reader.h"
-#include "daemon/api/client.h"
-#include "drivers/modbus/connection.h"
 #include "tests/emulators/iidc_link.h"
 #include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
-#include "tests/integration/programs.h"
-#include "tests/kernel/sim_chip.h"
-#include "tests/support/temporary_directory.h"
+#include "tests/kernel/appliance.h"
 
 namespace omnihdr::daemon_test {
 namespace {
 
 using integration::Eventually;
-using integration::Program;
+using kernel::kArmed;
+using kernel::kFault;
+using kernel::kLost;
+using kernel::kMapVersion;
+using kernel::kOdometerMm;
+using kernel::kReady;
+using kernel::kRecorded;
+using kernel::kState;
+using kernel::kTrigger;
+using kernel::kTriggers;
+using kernel::kWaitingForCamera;
+using kernel::kWheel;
 using ::testing::HasSubstr;
 
-constexpr int kTrigger = 0;
-constexpr int kReady = 1;
-constexpr int kFault = 2;
-constexpr int kWheel = 3;
-constexpr int kModbusPort = 1502;
-
-// Registers of drivers/modbus/README.md.
-constexpr std::size_t kMapVersion = 0;
-constexpr std::size_t kState = 1;
-constexpr std::size_t kTriggers = 4;
-constexpr std::size_t kRecorded = 6;
-constexpr std::size_t kLost = 8;
-constexpr std::size_t kOdometerMm = 16;
-constexpr std::uint16_t kWaitingForCamera = 1;
-constexpr std::uint16_t kArmed = 3;
-
-class Appliance : public ::testing::Test {
+class Appliance : public kernel::ApplianceTest {
  protected:
   // With the exposures of a bracket and what triggers.
   void Launch(const std::string& exposures, const std::string& trigger) {
+    ApplianceTest::Launch(MakeSetup(exposures, trigger));
+  }
+  void Start(const std::string& exposures) {
+    ASSERT_NO_FATAL_FAILURE(ApplianceTest::Start(MakeSetup(exposures, "")));
+  }
+  Setup MakeSetup(const std::string& exposures, const std::string& trigger) const {
     const emulators::IidcDeviceOptions& device = device_->options();
     std::ofstream(path("head.toml"))
         << emulators::EmulatedRig(6, device.max_width, device.rows_per_sensor, device.bayer);
-    std::ofstream(path("c.toml")) << fmt::format(
-        "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
-        "[camera]\ndriver = \"iidc\"\nreconnect_s = 0.2\nframe_timeout_s = 20.0\n"
-        "[camera.iidc]\nrig = \"head.toml\"\n[bracket]\nexposures_s = {}\n"
-        "[trigger]\narmed_at_start = true\n{}\n"
-        "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n"
-        "[modbus.server]\nconnection = \"tcp\"\nport = {}\n[pipeline]\nenabled = false\n",
-        exposures, trigger, chip_.label(), kModbusPort);
-    daemon_ = std::make_unique<Program>(
-        "omnihdrd", std::vector<std::string>{"--config", path("c.toml").string()}, path("log"));
-  }
-  // Triggered by the edges of a line, and ready.
-  void Start(const std::string& exposures) {
-    Launch(exposures, TriggerLine());
-    ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
-    ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
-  }
-  std::string TriggerLine() const {
-    return fmt::format("source = \"gpio\"\n[gpio.trigger]\nchip = \"{}\"\nline = \"trigger-in\"",
-                       chip_.label());
-  }
-  bool LinksAreUp() const {
-    return StatusHolds([](const auto& s) {
-      for (const auto& link : s["links"]) {
-        if (!link["up"].template get<bool>()) return false;
-      }
-      return s["links"].size() >= 2;
-    });
-  }
-  void Stop() {
-    daemon_->Signal(SIGTERM);
-    EXPECT_EQ(daemon_->Wait(), 0) << daemon_->Log();
-    EXPECT_FALSE(chip_.IsHigh(kReady));
-    EXPECT_FALSE(chip_.IsHigh(kFault));
-  }
-
-  std::filesystem::path path(const std::string& name) const { return directory_.path() / name; }
-  bool StatusHolds(const std::function<bool(const nlohmann::json&)>& holds) const {
-    return Eventually([&] {
-      ApiClient client(path("api.sock"));
-      const auto status = client.Get("/v1/status");
-      return status && holds(*status);
-    });
-  }
-  bool Becomes(const std::string& state) const {
-    return StatusHolds([&](const auto& s) { return s["state"] == state; });
-  }
-  // An edge, and its line in the journal.
-  bool Shoot() {
-    ++edges_;
-    chip_.Pulse(kTrigger);
-    return Answered();
-  }
-  // Every edge so far has been taken for a trigger, and every trigger has been answered.
-  bool Answered() const {
-    return StatusHolds([this](const auto& s) {
-      return s["triggers"]["accepted"] == edges_ && s["triggers"]["in_flight"] == 0;
-    });
-  }
-  std::vector<FrameRecord> Journal() const {
-    auto contents = ReadSession(path("sessions") / "s");
-    EXPECT_TRUE(contents) << contents.error().message;
-    return contents ? contents->journal.frames : std::vector<FrameRecord>{};
+    Setup setup;
+    setup.camera = "driver = \"iidc\"\n[camera.iidc]\nrig = \"head.toml\"";
+    setup.exposures = "exposures_s = " + exposures;
+    setup.trigger = trigger;
+    return setup;
   }
   // A good frame: its exposure, proved by itself, and pixels of that exposure.
   void ExpectFrame(const FrameRecord& record, double exposure_s) const {
@@ -128,34 +62,13 @@ class Appliance : public ::testing::Test {
               device_->PixelAt(20, 100, seconds, 0.0));
   }
 
-  // What a Modbus master sees.
-  using Registers = std::array<std::uint16_t, 20>;
-  static Registers ReadModbus() {
-    modbus::Endpoint endpoint;
-    endpoint.port = kModbusPort;
-    modbus::Client client(endpoint);
-    Registers registers{};
-    Status read = client.Open(std::chrono::seconds(10));
-    if (read) read = client.Read(modbus::Table::kInput, 0, registers);
-    EXPECT_TRUE(read) << read.error().message;
-    return registers;
-  }
-  static std::uint32_t Long(const Registers& registers, std::size_t at) {
-    return std::uint32_t{registers[at]} << 16 | registers[at + 1];
-  }
-
-  const SystemClock clock_;
-  testing::TemporaryDirectory directory_;
-  kernel::SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out", "wheel-in"}};
   std::shared_ptr<emulators::IidcDevice> device_ =
       std::make_shared<emulators::IidcDevice>(emulators::IidcDeviceOptions{}, clock_);
   emulators::VhciUsb plug_{std::make_shared<emulators::IidcUsbFunction>(device_)};
-  std::unique_ptr<Program> daemon_;
-  std::uint64_t edges_ = 0;
 };
 
 TEST_F(Appliance, ABracketIsRecordedEdgeByEdgeAndAMasterReadsAlong) {
-  Start("[0.001, 0.004, 0.016]");
+  ASSERT_NO_FATAL_FAILURE(Start("[0.001, 0.004, 0.016]"));
   EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kReady); }));
   EXPECT_FALSE(chip_.IsHigh(kFault));
   std::vector<HostTime> around = {clock_.Now()};
@@ -187,7 +100,7 @@ TEST_F(Appliance, ABracketIsRecordedEdgeByEdgeAndAMasterReadsAlong) {
 }
 
 TEST_F(Appliance, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCameraReturns) {
-  Start("[0.001, 0.004, 4.0]");
+  ASSERT_NO_FATAL_FAILURE(Start("[0.001, 0.004, 4.0]"));
   ASSERT_TRUE(Shoot());
   ASSERT_TRUE(Shoot());
   ++edges_;
@@ -217,40 +130,10 @@ TEST_F(Appliance, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCameraReturns) {
 }
 
 TEST_F(Appliance, EdgesFasterThanTheCameraAreAllInTheJournal) {
-  Start("[0.001, 0.004, 1.0]");
-  // As fast as they are taken. Faster ones the kernel itself would take for one (see gpio_test.cc).
-  constexpr std::size_t kEdges = 60;
-  while (edges_ < kEdges) {
-    ++edges_;
-    chip_.Pulse(kTrigger);
-    ASSERT_TRUE(StatusHolds([&](const auto& s) { return s["triggers"]["accepted"] == edges_; }))
-        << daemon_->Log();
-  }
-  ASSERT_TRUE(Answered()) << daemon_->Log();
-  const std::vector<FrameRecord> journal = Journal();
-  ASSERT_EQ(journal.size(), kEdges);
+  ASSERT_NO_FATAL_FAILURE(Start("[0.001, 0.004, 1.0]"));
   const double ladder[] = {0.001, 0.004, 1.0};
-  std::uint32_t taken = 0;
-  HostTime before;
-  for (std::size_t i = 0; i < journal.size(); ++i) {
-    EXPECT_EQ(Value(journal[i].frame), i);
-    EXPECT_GT(journal[i].trigger_time, before);
-    before = journal[i].trigger_time;
-    if (journal[i].status == FrameStatus::kOk) {
-      ++taken;
-      ExpectFrame(journal[i], ladder[i % 3]);
-    } else {
-      EXPECT_EQ(journal[i].status, FrameStatus::kMissedTrigger) << journal[i].detail;
-      EXPECT_FALSE(journal[i].detail.empty());
-      EXPECT_TRUE(journal[i].file.empty());
-    }
-  }
-  EXPECT_GT(taken, 0U);
-  EXPECT_LT(taken, journal.size());
-  const auto lost = static_cast<std::uint32_t>(journal.size()) - taken;
-  EXPECT_TRUE(Eventually([&] { return Long(ReadModbus(), kLost) == lost; }));
-  EXPECT_EQ(Long(ReadModbus(), kRecorded), taken);
-  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault); }));
+  OutrunTheCamera(
+      60, [&](const FrameRecord& record, std::size_t i) { ExpectFrame(record, ladder[i % 3]); });
   Stop();
 }
 
