@@ -16,6 +16,7 @@
 #include "tests/emulators/uvc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
 #include "tests/kernel/appliance.h"
+#include "tests/kernel/serial_ports.h"
 
 namespace omnihdr::uvc_daemon_test {
 namespace {
@@ -42,7 +43,7 @@ class ApplianceWithAWebcam : public kernel::ApplianceTest {
         std::make_unique<emulators::VhciUsb>(std::make_shared<emulators::UvcUsbFunction>(device_));
   }
   // A grey camera of a rig of one sensor. The latency is given: opening takes no measurement.
-  void StartGrey() {
+  void StartGrey(const std::string& modbus_server = "") {
     UvcDeviceOptions options;
     options.height = 64;
     PlugIn(options);
@@ -55,6 +56,7 @@ class ApplianceWithAWebcam : public kernel::ApplianceTest {
         "device = \"{}\"\nlatency_frames = 4",
         device.serial);
     setup.exposures = "exposures_s = [0.002, 0.008, 0.032]";
+    setup.modbus_server = modbus_server;
     ASSERT_NO_FATAL_FAILURE(Start(setup));
   }
   // A good frame: the exposure read back, and pixels of it.
@@ -146,7 +148,9 @@ TEST_F(ApplianceWithAWebcam, ABracketIsRecordedEdgeByEdgeProvedByTheLatencyAndFu
 }
 
 TEST_F(ApplianceWithAWebcam, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCameraReturns) {
-  ASSERT_NO_FATAL_FAILURE(StartGrey());
+  const modbus::Endpoint master = kernel::SerialEndpoint(kernel::kOtherEnd);
+  ASSERT_NO_FATAL_FAILURE(StartGrey(fmt::format("connection = \"rtu\"\ndevice = \"{}\"\nbaud = {}",
+                                                kernel::kOneEnd, master.baud)));
   ASSERT_TRUE(Shoot());
   ASSERT_TRUE(Shoot());
   UvcDevice::Faults faults;
@@ -158,7 +162,7 @@ TEST_F(ApplianceWithAWebcam, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCamera
   plug_->Unplug();
   device_->Set({});
   ASSERT_TRUE(Becomes("waiting-for-camera")) << daemon_->Log();
-  EXPECT_TRUE(Eventually([&] { return ReadModbus()[kState] == kWaitingForCamera; }));
+  EXPECT_TRUE(Eventually([&] { return ReadModbus(master)[kState] == kWaitingForCamera; }));
   EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault) && !chip_.IsHigh(kReady); }));
   ASSERT_TRUE(Answered());
   plug_->PlugIn();
