@@ -75,6 +75,12 @@ struct CameraFrame {
   std::variant<Image<std::uint8_t>, Image<std::uint16_t>> pixels;
 };
 
+// Something that a camera counts, since it was made.
+struct CameraCounter {
+  std::string name;  // small letters, digits and "_"
+  std::uint64_t value = 0;
+};
+
 // A camera that takes one picture at a time on request. Life: Open -> Start -> (Trigger, Receive)*
 // -> Stop -> Start ... -> Close; every call in any state returns an error rather than misbehave,
 // and Start/Stop/Close are idempotent. Threads: Trigger from one thread and Receive from another at
@@ -98,6 +104,9 @@ class Camera {
   // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable
   // when the device has gone and Open must be called again.
   virtual Result<CameraFrame> Receive(Nanoseconds timeout) = 0;
+  // What the driver counts beyond the frames' own words: always the same names. Any thread, at any
+  // time.
+  virtual std::vector<CameraCounter> Counters() const { return {}; }
 };
 
 }  // namespace omnihdr

@@ -162,6 +162,7 @@ std::string ExtraJson(const ReadyCamera& camera, const FoundCamera& found,
                {"exposure_in_lines", camera.exposure->in_lines()},
                {"latency_frames", camera.latency_frames},
                {"latency_measured", camera.latency_measured},
+               {"least_latency_frames", camera.least_latency},
                {"controls", controls}};
   if (!camera.latency_note.empty()) v4l2["latency_note"] = camera.latency_note;
   return Json{{"v4l2", v4l2}}.dump();
@@ -247,6 +248,7 @@ Status NoteLatency(ReadyCamera& camera, const V4l2CameraOptions& options, const 
                                 LongestWait(camera, options), clock.Now() + kLongestMeasurement));
   camera.latency_measured = measured.frames.has_value();
   camera.latency_frames = measured.frames.value_or(kMaxLatency);
+  camera.least_latency = measured.frames ? measured.least : 1;
   camera.latency_note = measured.why_not;
   return {};
 }

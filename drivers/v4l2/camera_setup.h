@@ -57,6 +57,7 @@ struct ReadyCamera {
   bool stamps_at_readout = false;
   Nanoseconds interval{0};  // between frames; 0 = not known
   int latency_frames = kMaxLatency;
+  int least_latency = 1;  // a setting acts no sooner than so many frames after it was written
   bool latency_measured = false;
   std::string latency_note;  // why it was not
   CameraInfo info;

@@ -125,12 +125,21 @@ bool ExposureControl::AllowsGain(GainDb gain) const {
          gain.value <= most_gain().value + kGainGraceDb;
 }
 
+std::int64_t ExposureControl::BlankingFor(std::int64_t lines) const {
+  return std::min(std::max(vblank_least_, lines - room_), std::int64_t{vblank_->maximum});
+}
+
+bool ExposureControl::MovesBlanking(const Exposure& exposure) const {
+  if (!vblank_) return false;
+  return BlankingFor(std::llround(exposure.time.seconds() / unit_s_)) != vblank_now_;
+}
+
 // VBLANK alone and first: the exposure's range follows from it.
 Status ExposureControl::MakeRoom(std::int64_t lines) {
   if (!vblank_) return {};
-  const std::int64_t wanted = std::max(vblank_least_, lines - room_);
+  const std::int64_t wanted = BlankingFor(lines);
   if (wanted == vblank_now_) return {};
-  const Wanted set{*vblank_, std::min(wanted, vblank_->maximum)};
+  const Wanted set{*vblank_, wanted};
   OMNIHDR_ASSIGN(const std::vector<Applied> applied, controls_.Set({&set, 1}));
   vblank_now_ = applied.front().read;
   OMNIHDR_ASSIGN(std::optional<Control> range, controls_.Find(exposure_.id));

@@ -47,6 +47,8 @@ class ExposureControl {
   GainDb least_gain() const;
   GainDb most_gain() const;
   bool AllowsGain(GainDb gain) const;
+  // Whether setting it makes VBLANK another one first, which acts on frames by itself.
+  bool MovesBlanking(const Exposure& exposure) const;
   // Sets exposure and gain together and reads them back. kUsage when out of range.
   Result<SetExposure> Set(const Exposure& exposure);
 
@@ -54,6 +56,7 @@ class ExposureControl {
   explicit ExposureControl(const Controls& controls) : controls_(controls) {}
   Status OpenLines(int width, int height);
   Status OpenGain(const GainOptions& options);
+  std::int64_t BlankingFor(std::int64_t lines) const;
   Status MakeRoom(std::int64_t lines);
 
   Controls controls_;

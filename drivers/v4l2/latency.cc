@@ -214,6 +214,7 @@ Result<LatencyMeasurement> MeasureLatency(Stream& stream, const FrameLayout& lay
     return measured;
   }
   measured.frames = most;
+  measured.least = least;
   return measured;
 }
 

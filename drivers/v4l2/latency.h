@@ -31,6 +31,7 @@ std::optional<bool> BrightnessFollowed(const Level& before, const Level& after, 
 
 struct LatencyMeasurement {
   std::optional<int> frames;  // from the write to the first frame it acts on; 1 = the next one
+  int least = 1;              // the same, at the earliest
   std::string why_not;        // when not measured
   int steps = 0;
 };

@@ -81,7 +81,7 @@ Result<CameraInfo> V4l2RigCamera::Open() {
     return Combine(infos);
   };
   if (Status opened = open(); !opened) {
-    members_.clear();
+    ForgetMembers();
     return Forward(std::move(opened).error(), "V4L2 rig");
   }
   for (std::size_t i = 0; i < members_.size(); ++i) {
@@ -97,15 +97,19 @@ Result<CameraInfo> V4l2RigCamera::Open() {
 
 // Side by side: each measures its latency for seconds.
 Status V4l2RigCamera::OpenMembers(std::vector<CameraInfo>& infos) {
-  members_.clear();
+  std::vector<std::unique_ptr<RigMember>> members;
   for (std::size_t i = 0; i < options_.devices.size(); ++i) {
     V4l2CameraOptions options = options_;
     options.device = options_.devices[i];
     options.devices.clear();
     options.sensor = static_cast<int>(i);
-    members_.push_back(std::make_unique<RigMember>(
+    members.push_back(std::make_unique<RigMember>(
         i, fmt::format("sensor {} \"{}\" ({})", i, names_[i], options.device), options,
         make_system_(), retry_, inbox_));
+  }
+  {
+    std::lock_guard lock(members_mutex_);
+    members_ = std::move(members);
   }
   std::vector<Result<CameraInfo>> opened(members_.size(), CameraInfo{});
   {
@@ -196,7 +200,13 @@ Status V4l2RigCamera::Combine(const std::vector<CameraInfo>& infos) {
 void V4l2RigCamera::Close() {
   Stop();
   handover_.Close();
-  members_.clear();
+  ForgetMembers();
+}
+
+void V4l2RigCamera::ForgetMembers() {
+  std::vector<std::unique_ptr<RigMember>> gone;
+  std::lock_guard lock(members_mutex_);
+  gone.swap(members_);
 }
 
 Status V4l2RigCamera::Start() {
@@ -230,6 +240,25 @@ Result<CameraFrame> V4l2RigCamera::Receive(Nanoseconds timeout) {
 V4l2RigCamera::Counts V4l2RigCamera::counts() const {
   std::lock_guard lock(mutex_);
   return counts_;
+}
+
+std::vector<CameraCounter> V4l2RigCamera::Counters() const {
+  const Counts now = counts();
+  std::vector<CameraCounter> counters{{"incomplete_sets", now.incomplete},
+                                      {"late_member_frames", now.late_frames},
+                                      {"member_departures", now.departures},
+                                      {"member_returns", now.returns}};
+  std::lock_guard lock(members_mutex_);
+  for (std::size_t i = 0; i < members_.size(); ++i) {
+    const std::vector<CameraCounter> own = members_[i]->Counters();
+    if (i == 0) {
+      counters.insert(counters.end(), own.begin(), own.end());
+      continue;
+    }
+    const std::size_t first = counters.size() - own.size();
+    for (std::size_t k = 0; k < own.size(); ++k) counters[first + k].value += own[k].value;
+  }
+  return counters;
 }
 
 Status V4l2RigCamera::Run(const std::stop_token& stop, Stage& stage) {
@@ -304,10 +333,12 @@ void V4l2RigCamera::Collect(Nanoseconds timeout) {
 // What was asked of a camera before it left will not come.
 void V4l2RigCamera::FindLost() {
   std::size_t away = 0;
+  std::uint64_t departures = 0;
   std::uint64_t returns = 0;
   for (std::size_t i = 0; i < members_.size(); ++i) {
     const RigMember::State state = members_[i]->state();
     away += state.present ? 0 : 1;
+    departures += state.departures;
     returns += state.returns;
     for (Set& set : sets_) {
       Slot& slot = set.slots[i];
@@ -318,6 +349,7 @@ void V4l2RigCamera::FindLost() {
   }
   std::lock_guard lock(mutex_);
   counts_.away = away;
+  counts_.departures = departures;
   counts_.returns = returns;
 }
 

@@ -50,10 +50,13 @@ class V4l2RigCamera final : public Camera {
   struct Counts {
     std::uint64_t incomplete = 0;   // sets without a whole picture of every sensor
     std::uint64_t late_frames = 0;  // came when their set had been delivered
-    std::uint64_t returns = 0;      // of cameras that had left
+    std::uint64_t departures = 0;   // of cameras
+    std::uint64_t returns = 0;      // of those
     std::size_t away = 0;           // cameras that are not there
   };
   Counts counts() const;
+  // Of the rig, and the sums of its cameras'.
+  std::vector<CameraCounter> Counters() const override;
 
  private:
   // What one sensor has of a set.
@@ -70,6 +73,7 @@ class V4l2RigCamera final : public Camera {
     std::vector<Slot> slots;
   };
 
+  void ForgetMembers();
   Status OpenMembers(std::vector<CameraInfo>& infos);
   Status Combine(const std::vector<CameraInfo>& infos);
   Status Run(const std::stop_token& stop, Stage& stage);
@@ -88,6 +92,7 @@ class V4l2RigCamera final : public Camera {
   const Nanoseconds retry_;
   const SystemClock clock_;
   RigInbox inbox_;
+  mutable std::mutex members_mutex_;  // for Counters: while the vector is changed
   std::vector<std::unique_ptr<RigMember>> members_;
   std::vector<std::string> names_;  // of the sensors
   std::vector<int> rows_;           // where each begins in the stack; the last is its height

@@ -121,6 +121,7 @@ void RigMember::Leave(std::string why) {
     state_.present = false;
     state_.why = std::move(why);
     ++state_.life;
+    ++state_.departures;
   }
   camera_.Stop();
   camera_.Close();

@@ -66,10 +66,11 @@ class RigMember {
     bool present = false;
     std::string why;         // it is away
     std::uint64_t life = 0;  // goes up each time it leaves or returns
+    std::uint64_t departures = 0;
     std::uint64_t returns = 0;
   };
   State state() const;
-  V4l2Camera::Counts counts() const { return camera_.counts(); }
+  std::vector<CameraCounter> Counters() const { return camera_.Counters(); }
 
  private:
   Status Watch(const std::stop_token& stop, Stage& stage);

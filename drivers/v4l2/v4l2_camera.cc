@@ -50,6 +50,7 @@ HandoverLimits V4l2Camera::limits() const {
   limits.least_gain_db = control.least_gain().value - ExposureControl::kGainGraceDb;
   limits.most_gain_db = control.most_gain().value + ExposureControl::kGainGraceDb;
   if (!control.has_gain()) limits.gain_note = "camera.v4l2.gain_unity is not set";
+  limits.requests = 2;
   return limits;
 }
 
@@ -60,8 +61,10 @@ void V4l2Camera::Close() {
 }
 
 void V4l2Camera::ForgetStream() {
-  log_.Reset(camera_->latency_frames);
+  log_.Reset(camera_->latency_frames, camera_->least_latency);
   set_.reset();
+  ready_.clear();
+  if (next_) next_->written = false;
   last_sequence_.reset();
   last_stamp_.reset();
   reference_.reset();
@@ -72,6 +75,7 @@ Status V4l2Camera::Start() {
   OMNIHDR_ASSIGN(const bool may_start, handover_.MayStart());
   if (!may_start) return {};
   OMNIHDR_TRY(camera_->stream->Start(camera_->frame).Context("V4L2 camera: start"));
+  next_.reset();
   ForgetStream();
   handover_.Start("v4l2-camera", [this](std::stop_token stop, Stage& stage) {
     return Run(std::move(stop), stage);
@@ -92,10 +96,31 @@ V4l2Camera::Counts V4l2Camera::counts() const {
   return counts_;
 }
 
+std::vector<CameraCounter> V4l2Camera::Counters() const {
+  const Counts now = counts();
+  return {
+      {"damaged_buffers", now.damaged},           {"stale_frames", now.stale},
+      {"sequence_gaps", now.lost_frames},         {"lost_triggers", now.lost_triggers},
+      {"clamped_settings", now.clamped},          {"brightness_contradictions", now.contradictions},
+      {"latency_measurements", now.measurements}, {"early_exposures", now.early}};
+}
+
 Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();
-    const std::optional<ExposureRequest> request = handover_.Take(Nanoseconds(0), stop);
+    std::optional<ExposureRequest> request;
+    if (next_) {
+      request = next_->request;
+      // What was written for it is in force for its frame, or soon will be.
+      if (next_->written) {
+        set_ = next_->set;
+        set_at_ = next_->after;
+        reference_ = next_->reference;
+      }
+      next_.reset();
+    } else {
+      request = handover_.Take(Nanoseconds(0), stop);
+    }
     Status done = request ? Shoot(*request, stop) : Idle();
     if (!done) {
       handover_.GoAway(std::move(done).error().message);
@@ -143,6 +168,13 @@ Status V4l2Camera::Idle() {
 }
 
 Result<std::optional<Filled>> V4l2Camera::NextFrame(Nanoseconds timeout) {
+  if (ready_.empty()) return NextOfStream(timeout);
+  const Filled filled = ready_.front();
+  ready_.pop_front();
+  return std::optional<Filled>(filled);
+}
+
+Result<std::optional<Filled>> V4l2Camera::NextOfStream(Nanoseconds timeout) {
   Result<std::optional<Filled>> next = camera_->stream->Next(timeout);
   if (!next || !*next) return next;
   const Filled& filled = **next;
@@ -167,6 +199,15 @@ Result<std::optional<Filled>> V4l2Camera::NextFrame(Nanoseconds timeout) {
   return next;
 }
 
+Status V4l2Camera::RecycleReady() {
+  while (!ready_.empty()) {
+    const Filled filled = ready_.front();
+    ready_.pop_front();
+    OMNIHDR_TRY(camera_->stream->Recycle(filled));
+  }
+  return {};
+}
+
 Status V4l2Camera::Drain() {
   for (int i = 0; i < kMaxDrained; ++i) {
     OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(Nanoseconds(0)));
@@ -178,19 +219,14 @@ Status V4l2Camera::Drain() {
 
 // Written right after a frame has come, as when the latency was measured; false when none comes.
 Result<bool> V4l2Camera::SetExposureNow(const Exposure& exposure, std::stop_token stop) {
+  OMNIHDR_TRY(RecycleReady());
   const HostTime deadline = clock_.Now() + LongestWait(*camera_, options_);
   bool in_step = false;
   while (!in_step && !stop.stop_requested() && clock_.Now() < deadline) {
     OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(kSlice));
     if (!filled) continue;
     in_step = true;
-    const std::optional<SetExposure> had = log_.InForce(filled->sequence);
-    if (had && !filled->damaged) {
-      reference_.reset();
-      if (const auto level = MeasureLevel(filled->bytes, camera_->frame)) {
-        reference_ = Reference{*level, had->measured};
-      }
-    }
+    if (auto reference = ReferenceOf(*filled)) reference_ = *reference;
     OMNIHDR_TRY(camera_->stream->Recycle(*filled));
   }
   set_.reset();
@@ -198,7 +234,8 @@ Result<bool> V4l2Camera::SetExposureNow(const Exposure& exposure, std::stop_toke
   OMNIHDR_ASSIGN(const SetExposure set, camera_->exposure->Set(exposure));
   // Frames that were completed meanwhile had the exposure before.
   OMNIHDR_TRY(Drain());
-  log_.Wrote(*last_sequence_, set);
+  set_at_ = *last_sequence_;
+  log_.Wrote(set_at_, set);
   set_ = set;
   if (set.clamped) {
     std::lock_guard lock(mutex_);
@@ -225,7 +262,17 @@ Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest
     const std::optional<SetExposure> in_force = log_.InForce(filled->sequence);
     if (!in_force || in_force->asked != request.exposure ||
         ExposureStart(*filled, in_force->measured) < request.trigger_time) {
+      if (next_ && next_->written &&
+          SequenceDistance(next_->after, filled->sequence) >= log_.least()) {
+        OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+        return Fail(ErrorKind::kTemporary,
+                    "the frame was lost, and from frame {} on the next trigger's exposure is in "
+                    "force",
+                    filled->sequence);
+      }
+      const Status commanded = CommandNext(request, *filled, stop);
       OMNIHDR_TRY(camera_->stream->Recycle(*filled));
+      if (!commanded) return Forward(commanded.error(), "set the next exposure");
       continue;
     }
     CameraFrame frame = MakeFrame(request, *filled, *in_force);
@@ -233,6 +280,55 @@ Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest
     return std::optional<CameraFrame>(std::move(frame));
   }
   return std::optional<CameraFrame>();
+}
+
+std::optional<V4l2Camera::Reference> V4l2Camera::ReferenceOf(const Filled& filled) const {
+  const std::optional<SetExposure> had = log_.InForce(filled.sequence);
+  if (!had || filled.damaged) return std::nullopt;
+  const Result<Level> level = MeasureLevel(filled.bytes, camera_->frame);
+  if (!level) return std::nullopt;
+  return Reference{*level, had->measured};
+}
+
+// Right after a frame: writes the next trigger's exposure when the picture of `request` is certain
+// to be taken before it can act.
+Status V4l2Camera::CommandNext(const ExposureRequest& request, const Filled& filled,
+                               const std::stop_token& stop) {
+  if (log_.least() < 2) return {};
+  if (!next_) {
+    std::optional<ExposureRequest> taken = handover_.Take(Nanoseconds(0), stop);
+    if (!taken) return {};
+    next_.emplace();
+    next_->request = *taken;
+  }
+  if (next_->written || next_->request.exposure == request.exposure || !set_ ||
+      camera_->exposure->MovesBlanking(next_->request.exposure)) {
+    return {};
+  }
+  // The picture: the frame after this one, if the exposure is in force by then and none can have
+  // begun before the trigger, else the first with the exposure.
+  const Nanoseconds exposure = FromSeconds(set_->measured.time.seconds());
+  if (filled.stamp < request.trigger_time || exposure > camera_->interval) return {};
+  const std::uint32_t picture = set_at_ + static_cast<std::uint32_t>(log_.latency());
+  const std::int32_t away = std::max(1, SequenceDistance(filled.sequence, picture));
+  if (away >= log_.least()) return {};
+  std::optional<Reference> reference = ReferenceOf(filled);
+  OMNIHDR_ASSIGN(const SetExposure set, camera_->exposure->Set(next_->request.exposure));
+  // Frames that were completed meanwhile are looked at afterwards: one may be the picture.
+  for (int i = 0; i < kMaxDrained; ++i) {
+    OMNIHDR_ASSIGN(const std::optional<Filled> meanwhile, NextOfStream(Nanoseconds(0)));
+    if (!meanwhile) break;
+    ready_.push_back(*meanwhile);
+  }
+  next_->after = *last_sequence_;
+  log_.Wrote(next_->after, set);
+  next_->written = true;
+  next_->set = set;
+  next_->reference = reference;
+  std::lock_guard lock(mutex_);
+  ++counts_.early;
+  if (set.clamped) ++counts_.clamped;
+  return {};
 }
 
 HostTime V4l2Camera::ExposureStart(const Filled& filled, const Exposure& exposure) const {
@@ -299,6 +395,7 @@ void V4l2Camera::HoldAgainstBrightness(const Filled& filled, const SetExposure& 
 Status V4l2Camera::MeasureAnew() {
   contradictions_ = 0;
   if (options_.latency_frames > 0) return {};
+  OMNIHDR_TRY(RecycleReady());
   OMNIHDR_TRY(NoteLatency(*camera_, options_, clock_).Context("measure the latency anew"));
   ForgetStream();
   std::lock_guard lock(mutex_);

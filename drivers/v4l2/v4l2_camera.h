@@ -1,10 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/base/clock.h"
 #include "core/base/stage.h"
@@ -17,8 +19,10 @@ namespace omnihdr::v4l2 {
 
 // A camera over V4L2 (Camera's laws hold). It runs freely; a trigger sets exposure and gain right
 // after a frame, and takes the first frame that began after the trigger and for which that exposure
-// is certain to be in force. One picture is on its way at a time; a trigger before it has arrived
-// is refused as busy, as is one while four pictures wait to be received. The exposure of a frame is
+// is certain to be in force. Two triggers are on their way at most; another one is refused as busy,
+// as is one while four pictures wait to be received. The second one's exposure is written while the
+// first one's frame is still coming, as soon as that frame is certain not to be touched by it: a
+// measured latency says from which frame on a setting may act. The exposure of a frame is
 // what was read back, in force since as many frames as were measured (proof latency; readback when
 // the latency could not be measured). A picture whose brightness contradicts that has no proof; two
 // such in a row, and the latency is measured anew. The camera's counter goes up by one a picture
@@ -47,13 +51,23 @@ class V4l2Camera final : public Camera {
     std::uint64_t clamped = 0;         // settings that the camera made something else of
     std::uint64_t contradictions = 0;  // brightness did not follow the exposure
     std::uint64_t measurements = 0;    // of the latency, after that of Open
+    std::uint64_t early = 0;           // exposures written while the frame before was coming
   };
   Counts counts() const;
+  std::vector<CameraCounter> Counters() const override;
 
  private:
   struct Reference {
     Level level;
     Exposure exposure;
+  };
+  // The trigger after the one whose frame is coming.
+  struct Next {
+    ExposureRequest request;
+    bool written = false;
+    std::uint32_t after = 0;             // when written: the newest frame then
+    SetExposure set;                     // when written
+    std::optional<Reference> reference;  // when written
   };
 
   Status Run(std::stop_token stop, Stage& stage);
@@ -64,7 +78,12 @@ class V4l2Camera final : public Camera {
                                                  std::stop_token stop);
   Result<bool> SetExposureNow(const Exposure& exposure, std::stop_token stop);
   Result<std::optional<Filled>> NextFrame(Nanoseconds timeout);
+  Result<std::optional<Filled>> NextOfStream(Nanoseconds timeout);
+  Status CommandNext(const ExposureRequest& request, const Filled& filled,
+                     const std::stop_token& stop);
+  std::optional<Reference> ReferenceOf(const Filled& filled) const;
   Status Drain();
+  Status RecycleReady();
   HostTime ExposureStart(const Filled& filled, const Exposure& exposure) const;
   CameraFrame MakeFrame(const ExposureRequest& request, const Filled& filled,
                         const SetExposure& exposure);
@@ -81,9 +100,12 @@ class V4l2Camera final : public Camera {
   std::unique_ptr<ReadyCamera> camera_;
   ExposureLog log_;
   std::optional<SetExposure> set_;
+  std::uint32_t set_at_ = 0;  // the newest frame when it was written
   std::optional<std::uint32_t> last_sequence_;
   std::optional<HostTime> last_stamp_;
   std::optional<Reference> reference_;
+  std::optional<Next> next_;
+  std::deque<Filled> ready_;  // out of the stream, not looked at yet
   std::uint64_t counter_ = 0;
   std::uint64_t lost_since_ = 0;  // frames, since the last picture
   int contradictions_ = 0;        // in a row

@@ -55,6 +55,23 @@ TEST(V4l2Control, TheNearestValueKeepsRangeAndStep) {
   EXPECT_LE(control.Nearest(INT64_MAX), INT64_MAX);
 }
 
+TEST(V4l2ExposureLog, BeforeTheFirstFrameThatAWriteMayActOnTheOneBeforeIsInForce) {
+  v4l2::ExposureLog log;
+  log.Reset(4, 3);
+  v4l2::SetExposure first;
+  first.exposure_raw = 1;
+  v4l2::SetExposure second;
+  second.exposure_raw = 2;
+  log.Wrote(10, first);
+  log.Wrote(13, second);
+  EXPECT_FALSE(log.InForce(12));
+  EXPECT_FALSE(log.InForce(13));
+  EXPECT_EQ(log.InForce(14)->exposure_raw, 1);
+  EXPECT_EQ(log.InForce(15)->exposure_raw, 1);
+  EXPECT_FALSE(log.InForce(16));
+  EXPECT_EQ(log.InForce(17)->exposure_raw, 2);
+}
+
 TEST(V4l2ExposureLog, TellsOnlyWhatIsCertain) {
   v4l2::ExposureLog log;
   log.Reset(3);

@@ -45,7 +45,7 @@ class RigCameraTest : public ::testing::Test {
     WriteRig(3);
     options_.rig_file = rig();
     options_.coding = v4l2::Coding::kGrey;
-    options_.frame_timeout_s = 0.6;
+    options_.frame_timeout_s = 3.0;  // the machine may be busy
     // Not the kernel's order, and by three kinds of names.
     options_.devices = {"S2", "/dev/video0", "pci-usb-1"};
   }
@@ -163,7 +163,7 @@ TEST_F(RigCameraTest, AnUnpluggedMemberMakesIncompleteSetsUntilItIsBack) {
 }
 
 TEST_F(RigCameraTest, AMemberThatIsSilentIsMissingInTimeAndItsLateFrameJoinsNoOtherSet) {
-  options_.frame_timeout_s = 1.0;
+  options_.frame_timeout_s = 2.0;
   Begin();
   ASSERT_EQ(TakeOne(0.002).status, FrameStatus::kOk);
   V4l2CameraModel::Faults faults;
@@ -171,7 +171,7 @@ TEST_F(RigCameraTest, AMemberThatIsSilentIsMissingInTimeAndItsLateFrameJoinsNoOt
   ModelOf(2).SetFaults(faults);
   const HostTime before = clock_.Now();
   const CameraFrame frame = TakeOne(0.001);
-  EXPECT_LT(clock_.Now() - before, milliseconds(1000));
+  EXPECT_LT(clock_.Now() - before, milliseconds(2000));
   ASSERT_EQ(frame.status, FrameStatus::kCorrupt);
   EXPECT_THAT(frame.detail, HasSubstr("sensor 2 \"2\" missing: no picture in time"));
   ExpectSensor(frame, 0, 0.001);
@@ -188,6 +188,31 @@ TEST_F(RigCameraTest, AMemberThatIsSilentIsMissingInTimeAndItsLateFrameJoinsNoOt
   }
   EXPECT_EQ(complete, 2);
   EXPECT_GE(camera_->counts().late_frames, 1U);
+}
+
+TEST_F(RigCameraTest, TwoTriggersOnTheirWayAreTwoSetsHoweverTheirFramesArrive) {
+  Begin();
+  std::vector<double> asked;
+  std::vector<CameraFrame> frames;
+  const double exposures[] = {0.0004, 0.003, 0.001};
+  const HostTime deadline = clock_.Now() + std::chrono::seconds(30);
+  while (frames.size() < 12 && clock_.Now() < deadline) {
+    ExposureRequest request;
+    request.trigger = TriggerId{asked.size()};
+    request.exposure.time = ExposureTime::Seconds(exposures[asked.size() % 3]);
+    request.trigger_time = clock_.Now();
+    if (asked.size() < 12 && camera_->Trigger(request)) {
+      asked.push_back(request.exposure.time.seconds());
+    }
+    Result<CameraFrame> frame = camera_->Receive(milliseconds(1));
+    if (frame) frames.push_back(std::move(*frame));
+  }
+  ASSERT_EQ(frames.size(), 12U);
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    EXPECT_EQ(Value(frames[i].trigger), i);
+    ASSERT_EQ(frames[i].status, FrameStatus::kOk) << frames[i].detail;
+    for (int sensor = 0; sensor < 3; ++sensor) ExpectSensor(frames[i], sensor, asked[i]);
+  }
 }
 
 TEST_F(RigCameraTest, ASetHasTheWeakestProofOfItsMembers) {

@@ -5,7 +5,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <atomic>
 #include <cerrno>
+#include <map>
+#include <string>
+#include <thread>
+#include <vector>
 
 #include "tests/drivers/v4l2/emulated.h"
 
@@ -83,6 +88,105 @@ TEST_F(V4l2CameraTest, EveryPixelIsTheScenesAtTheExposureThatWasProved) {
     }
     EXPECT_EQ(camera_->counts().contradictions, 0U);
   }
+}
+
+// Triggers given as fast as the camera takes them, with these exposures over and over, and what
+// came of them.
+struct Burst {
+  std::vector<double> asked;  // of the triggers that were taken
+  std::vector<CameraFrame> frames;
+};
+Burst Shoot(Camera& camera, std::size_t triggers, const std::vector<double>& exposures) {
+  const SystemClock clock;
+  Burst burst;
+  const HostTime deadline = clock.Now() + std::chrono::seconds(30);
+  while (burst.asked.size() < triggers && clock.Now() < deadline) {
+    ExposureRequest request;
+    request.trigger = TriggerId{burst.asked.size()};
+    request.exposure.time = ExposureTime::Seconds(exposures[burst.asked.size() % exposures.size()]);
+    request.trigger_time = clock.Now();
+    if (camera.Trigger(request)) burst.asked.push_back(request.exposure.time.seconds());
+    Result<CameraFrame> frame = camera.Receive(std::chrono::milliseconds(1));
+    if (frame) burst.frames.push_back(std::move(*frame));
+  }
+  while (burst.frames.size() < burst.asked.size()) {
+    Result<CameraFrame> frame = camera.Receive(std::chrono::seconds(1));
+    if (!frame) break;
+    burst.frames.push_back(std::move(*frame));
+  }
+  return burst;
+}
+
+std::int64_t SequenceOf(const CameraFrame& frame) {
+  const std::string key = "\"sequence\":";
+  const std::size_t at = frame.settings_readback_json.find(key);
+  return std::stoll(frame.settings_readback_json.substr(at + key.size()));
+}
+
+TEST_F(V4l2CameraTest, TheNextExposureIsWrittenWhileTheFrameBeforeIsStillComing) {
+  V4l2ModelOptions options;
+  options.latency_frames = 4;
+  options.interval_s = 0.015;
+  Plug(options);
+  Begin();
+  const Burst burst = Shoot(*camera_, 12, {0.0004, 0.003, 0.001});
+  ASSERT_EQ(burst.frames.size(), 12U);
+  for (std::size_t i = 0; i < burst.frames.size(); ++i) {
+    const CameraFrame& frame = burst.frames[i];
+    ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+    EXPECT_EQ(frame.proof, ExposureProof::kLatency);
+    ExpectScene(frame, burst.asked[i], 1.0, 255.0);
+  }
+  // One after the other, a picture takes the latency and a frame to write after: 55 frames.
+  EXPECT_LT(SequenceOf(burst.frames.back()) - SequenceOf(burst.frames.front()), 44);
+  EXPECT_GE(camera_->counts().early, 4U);
+  EXPECT_EQ(camera_->counts().contradictions, 0U);
+}
+
+TEST_F(V4l2CameraTest, FramesThatAreLostInABurstCostTheirTriggersAndNoPictureHasAnotherExposure) {
+  V4l2ModelOptions options;
+  options.latency_frames = 3;
+  Plug(options);
+  v4l2::V4l2CameraOptions wanted = emulated_->CameraOptions();
+  wanted.frame_timeout_s = 5.0;
+  Begin(wanted);
+  std::atomic<bool> ended{false};
+  std::thread thief([&] {
+    while (!ended) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(23));
+      V4l2CameraModel::Faults faults;
+      faults.lost = 1;
+      emulated_->model->SetFaults(faults);
+    }
+  });
+  const Burst burst = Shoot(*camera_, 40, {0.0004, 0.003, 0.001});
+  ended = true;
+  thief.join();
+  ASSERT_EQ(burst.frames.size(), 40U);
+  int whole = 0;
+  for (const CameraFrame& frame : burst.frames) {
+    if (frame.status == FrameStatus::kMissedTrigger) continue;
+    ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+    ++whole;
+    ExpectScene(frame, burst.asked[Value(frame.trigger)], 1.0, 255.0);
+  }
+  EXPECT_GT(whole, 15);
+}
+
+TEST_F(V4l2CameraTest, WhatItCountsHasNames) {
+  Plug({});
+  Begin();
+  TakeOne(0.001);
+  V4l2CameraModel::Faults faults;
+  faults.stale = 2;
+  faults.lost = 3;
+  emulated_->model->SetFaults(faults);
+  TakeOne(0.002);
+  std::map<std::string, std::uint64_t> counters;
+  for (const CameraCounter& each : camera_->Counters()) counters[each.name] = each.value;
+  EXPECT_EQ(counters.at("stale_frames"), 2U);
+  EXPECT_EQ(counters.at("sequence_gaps"), 3U);
+  EXPECT_EQ(counters.at("damaged_buffers"), 0U);
 }
 
 TEST_F(V4l2CameraTest, AutomaticIsOffBeforeTheFirstExposureIsWritten) {
