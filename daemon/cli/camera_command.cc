@@ -19,6 +19,7 @@
 #include "drivers/iidc/config_rom.h"
 #include "drivers/iidc/usb_link.h"
 #include "drivers/usb/libusb_bus.h"
+#include "drivers/v4l2/find_camera.h"
 #include "drivers/v4l2/kernel_device.h"
 
 namespace omnihdr {
@@ -66,11 +67,16 @@ Json IidcCameras() {
 
 Json V4l2Cameras() {
   Json cameras = Json::array();
-  for (const v4l2::V4l2Node& node : v4l2::MakeKernelSystem()->List()) {
-    // A name by-id stays when the numbers change.
-    const std::string id = node.names.empty() ? node.path : node.names.front();
-    cameras.push_back(
-        {{"driver", "v4l2"}, {"place", node.path}, {"id", id}, {"model", node.serial}});
+  const auto system = v4l2::MakeKernelSystem();
+  for (const v4l2::ListedCamera& found : v4l2::ListCameras(*system)) {
+    // A name by-id or a serial number stays when the numbers change.
+    const v4l2::V4l2Node& node = found.node;
+    const std::string id = !node.names.empty()    ? node.names.front()
+                           : !node.serial.empty() ? node.serial
+                                                  : node.path;
+    Json camera = {{"driver", "v4l2"}, {"place", node.path}, {"id", id}, {"model", found.card}};
+    if (!found.problem.empty()) camera["problem"] = found.problem;
+    cameras.push_back(std::move(camera));
   }
   return cameras;
 }

@@ -53,6 +53,19 @@ bool IsCalled(const V4l2Node& node, const std::string& name) {
 
 }  // namespace
 
+std::vector<ListedCamera> ListCameras(V4l2System& system) {
+  std::vector<ListedCamera> cameras;
+  for (const V4l2Node& node : system.List()) {
+    Result<std::optional<FoundCamera>> found = Identify(system, node);
+    if (!found) {
+      cameras.push_back({node, {}, found.error().message});
+    } else if (*found) {
+      cameras.push_back({node, (*found)->card, {}});
+    }
+  }
+  return cameras;
+}
+
 Result<FoundCamera> FindCamera(V4l2System& system, const std::string& name) {
   const std::vector<V4l2Node> nodes = system.List();
   if (nodes.empty()) return Fail(ErrorKind::kUnavailable, "no video device");

@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "drivers/v4l2/find_camera.h"
 #include "tests/drivers/v4l2/emulated.h"
 
 namespace omnihdr::v4l2_camera_test {
@@ -68,6 +69,23 @@ class V4l2CameraTest : public ::testing::Test {
   CameraInfo info_;
   std::uint64_t next_ = 0;
 };
+
+TEST(V4l2Cameras, ANodeOfMetadataIsNoCameraAndOneThatCannotBeAskedSaysWhy) {
+  const EmulatedV4l2 emulated;
+  const auto system = emulators::MakeEmulatedV4l2({emulated.model});
+  ASSERT_EQ(system->List().size(), 2U);
+  auto cameras = v4l2::ListCameras(*system);
+  ASSERT_EQ(cameras.size(), 1U);
+  EXPECT_EQ(cameras[0].node.path, "/dev/video2");
+  EXPECT_EQ(cameras[0].card, "Emulated Camera");
+  EXPECT_EQ(cameras[0].problem, "");
+  emulators::V4l2CameraModel::Faults faults;
+  faults.refuse[VIDIOC_QUERYCAP] = -EBUSY;
+  emulated.model->SetFaults(faults);
+  cameras = v4l2::ListCameras(*system);
+  ASSERT_EQ(cameras.size(), 1U);
+  EXPECT_THAT(cameras[0].problem, ::testing::HasSubstr("busy"));
+}
 
 TEST_F(V4l2CameraTest, EveryPixelIsTheScenesAtTheExposureThatWasProved) {
   for (const int latency : {1, 2, 5}) {
