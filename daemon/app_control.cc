@@ -278,6 +278,9 @@ StatusReport App::BuildStatus() const {
   s.uptime_s = std::chrono::duration<double>(clock_.Now() - started_).count();
   s.state = state_.report();
   s.camera_ready = state_.conditions().camera_ready;
+  for (CameraCounter& counter : parts_.camera->Counters()) {
+    s.camera_counters.emplace_back(std::move(counter.name), counter.value);
+  }
   s.armed = armed_;
   s.trigger_source = std::string(parts_.triggers->kind());
   s.triggers_ignored = ignored_triggers_;

@@ -66,6 +66,8 @@ Json StatusToJson(const StatusReport& s) {
   for (std::size_t i = 0; i < kMissReasonCount; ++i) {
     missed[std::string(ToString(static_cast<MissReason>(i)))] = s.capture.missed[i];
   }
+  Json camera_counters = Json::object();
+  for (const auto& [name, value] : s.camera_counters) camera_counters[name] = value;
   Json json = {
       {"version", s.version},
       {"uptime_s", s.uptime_s},
@@ -78,7 +80,8 @@ Json StatusToJson(const StatusReport& s) {
       {"camera",
        {{"ready", s.camera_ready},
         {"model", Utf8(s.camera_model)},
-        {"serial", Utf8(s.camera_serial)}}},
+        {"serial", Utf8(s.camera_serial)},
+        {"counters", std::move(camera_counters)}}},
       {"armed", s.armed},
       {"trigger_source", s.trigger_source},
       {"triggers",
@@ -158,6 +161,10 @@ std::string StatusToMetrics(const StatusReport& s) {
              state == s.state.state ? 1.0 : 0.0);
   }
   m.One("omnihdr_camera_ready", "gauge", "1 when a camera is open.", s.camera_ready ? 1.0 : 0.0);
+  m.Family("omnihdr_camera_events_total", "counter", "What the camera's driver counts, by name.");
+  for (const auto& [name, value] : s.camera_counters) {
+    m.Sample("omnihdr_camera_events_total", fmt::format("event=\"{}\"", name), AsDouble(value));
+  }
   m.One("omnihdr_triggers_total", "counter", "Triggers of the session.", AsDouble(s.triggers));
   m.One("omnihdr_triggers_in_flight", "gauge", "Triggers not yet journaled.",
         AsDouble(s.triggers_in_flight));

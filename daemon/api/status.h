@@ -27,6 +27,7 @@ struct StatusReport {
   bool camera_ready = false;
   std::string camera_model;
   std::string camera_serial;
+  std::vector<std::pair<std::string, std::uint64_t>> camera_counters;  // the driver's own, by name
 
   bool armed = false;
   std::string trigger_source;

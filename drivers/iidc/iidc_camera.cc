@@ -111,6 +111,11 @@ IidcCamera::Counts IidcCamera::counts() const {
   return counts_;
 }
 
+std::vector<CameraCounter> IidcCamera::Counters() const {
+  const Counts now = counts();
+  return {{"torn_frames", now.torn}, {"stray_frames", now.strays}, {"lost_triggers", now.lost}};
+}
+
 Status IidcCamera::RunShots(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();

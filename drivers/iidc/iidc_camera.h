@@ -5,6 +5,7 @@
 #include <mutex>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/base/clock.h"
 #include "core/base/stage.h"
@@ -46,6 +47,7 @@ class IidcCamera final : public Camera {
     std::uint64_t lost = 0;    // triggers whose frame never came
   };
   Counts counts() const;
+  std::vector<CameraCounter> Counters() const override;
 
  private:
   struct InForce {

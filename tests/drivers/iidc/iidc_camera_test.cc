@@ -145,6 +145,23 @@ TEST_F(IidcCameraTest, ATornFrameIsDeliveredAsCorruptAndTheNextIsWhole) {
   EXPECT_EQ(camera_->counts().torn, 1U);
 }
 
+TEST_F(IidcCameraTest, WhatItCountsIsToldByTheSameNamesBeforeAndAfterItIsOpen) {
+  emulated_ = std::make_unique<EmulatedIidc>();
+  const auto closed = emulated_->MakeCamera();
+  const std::vector<CameraCounter> before = closed->Counters();
+  ASSERT_EQ(before.size(), 3U);
+  Begin();
+  emulated_->device->Set({.short_frames = 1});
+  EXPECT_EQ(TakeOne(0.01).status, FrameStatus::kCorrupt);
+  const std::vector<CameraCounter> after = camera_->Counters();
+  ASSERT_EQ(after.size(), before.size());
+  for (std::size_t i = 0; i < after.size(); ++i) {
+    EXPECT_EQ(after[i].name, before[i].name);
+    EXPECT_EQ(before[i].value, 0U) << before[i].name;
+    EXPECT_EQ(after[i].value, after[i].name == "torn_frames" ? 1U : 0U) << after[i].name;
+  }
+}
+
 TEST_F(IidcCameraTest, ALossInTheMiddleTearsItsFrameAndNeverShiftsTheNext) {
   Begin();
   TakeOne(0.01);

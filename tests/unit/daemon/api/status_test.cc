@@ -51,6 +51,17 @@ TEST(Status, JsonHoldsTheNumbersAScriptNeeds) {
   EXPECT_EQ(json["odometer_m"], 3.25);
 }
 
+TEST(Status, WhatTheCamerasDriverCountsIsToldByName) {
+  StatusReport s = Busy();
+  s.camera_counters = {{"stale_frames", 3}, {"sequence_gaps", 17}};
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["camera"]["counters"]["stale_frames"], 3);
+  const std::string metrics = StatusToMetrics(s);
+  EXPECT_NE(metrics.find("omnihdr_camera_events_total{event=\"sequence_gaps\"} 17\n"),
+            std::string::npos)
+      << metrics;
+}
+
 TEST(Status, TheVehiclesConnectionsPlaceAndStorageAreTold) {
   StatusReport s = Busy();
   s.minutes_left = 95.5;

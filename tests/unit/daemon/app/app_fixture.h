@@ -73,6 +73,7 @@ class FakeCamera final : public Camera {
     frame.pixels = Image<std::uint8_t>(128, 64, 3, 100);
     return frame;
   }
+  std::vector<CameraCounter> Counters() const override { return {{"stale_frames", 3}}; }
 
   void SetPresent(bool present) {
     {

@@ -36,6 +36,7 @@ TEST_F(AppTest, ALimitedSeriesEndsTheSessionAndTheDaemonServesOn) {
   Trigger(4);
   ASSERT_TRUE(StatusHolds([](const auto& s) { return s["session"]["ended"] == true; }));
   const nlohmann::json status = Client().Get("/v1/status").value();
+  EXPECT_EQ(status["camera"]["counters"]["stale_frames"], 3);
   EXPECT_EQ(status["state"], "idle");
   EXPECT_EQ(status["views"]["finished"], 4);
   EXPECT_EQ(status["views"]["backlog"], 0);
