@@ -19,6 +19,20 @@ sim::SceneKind Scene(SimScene scene) {
   return sim::SceneKind::kHall;
 }
 
+iidc::Coding Coding(IidcCoding coding) {
+  switch (coding) {
+    case IidcCoding::kRaw8:
+      return iidc::Coding::kRaw8;
+    case IidcCoding::kMono8:
+      return iidc::Coding::kMono8;
+    case IidcCoding::kRaw16:
+      return iidc::Coding::kRaw16;
+    case IidcCoding::kMono16:
+      return iidc::Coding::kMono16;
+  }
+  return iidc::Coding::kRaw8;
+}
+
 CameraOptions MakeIidcOptions(const CameraConfig& config) {
   const IidcCameraConfig& from = config.iidc;
   iidc::IidcCameraOptions options;
@@ -28,7 +42,7 @@ CameraOptions MakeIidcOptions(const CameraConfig& config) {
       from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;
   options.jpeg_quality = from.jpeg_quality;
   options.mode = from.mode;
-  options.coding = from.coding == IidcCoding::kMono8 ? iidc::Coding::kMono8 : iidc::Coding::kRaw8;
+  options.coding = Coding(from.coding);
   options.left = from.left;
   options.top = from.top;
   options.packet_bytes = from.packet_bytes;

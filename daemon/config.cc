@@ -291,7 +291,17 @@ std::string_view ToString(CameraDriver value) {
 std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
 
 std::string_view ToString(IidcCoding value) {
-  return value == IidcCoding::kRaw8 ? "raw8" : "mono8";
+  switch (value) {
+    case IidcCoding::kRaw8:
+      return "raw8";
+    case IidcCoding::kMono8:
+      return "mono8";
+    case IidcCoding::kRaw16:
+      return "raw16";
+    case IidcCoding::kMono16:
+      return "mono16";
+  }
+  return "?";
 }
 
 std::string_view ToString(SimScene value) {

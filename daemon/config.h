@@ -33,7 +33,7 @@ enum class CameraDriver { kSim, kReplay, kIidc, kV4l2 };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
 enum class IidcFormat { kRaw, kJpeg };
-enum class IidcCoding { kRaw8, kMono8 };
+enum class IidcCoding { kRaw8, kMono8, kRaw16, kMono16 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };

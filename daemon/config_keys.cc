@@ -292,8 +292,10 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("camera.iidc.jpeg_quality", "a whole number", 1, 100,
             OMNIHDR_MEMBER(camera.iidc.jpeg_quality)));
   add(Whole("camera.iidc.mode", "a whole number", 0, 7, OMNIHDR_MEMBER(camera.iidc.mode)));
-  add(Choice("camera.iidc.coding", std::vector{IidcCoding::kRaw8, IidcCoding::kMono8},
-             OMNIHDR_MEMBER(camera.iidc.coding)));
+  add(Choice(
+      "camera.iidc.coding",
+      std::vector{IidcCoding::kRaw8, IidcCoding::kMono8, IidcCoding::kRaw16, IidcCoding::kMono16},
+      OMNIHDR_MEMBER(camera.iidc.coding)));
   add(EvenPixels("camera.iidc.left", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.left)));
   add(EvenPixels("camera.iidc.top", "", 0, 65534, OMNIHDR_MEMBER(camera.iidc.top)));
   add(Whole("camera.iidc.packet_bytes", "bytes", 0, 65535,

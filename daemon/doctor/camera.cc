@@ -405,8 +405,11 @@ std::optional<std::size_t> PictureBytes(const DaemonConfig& config) {
                         static_cast<std::size_t>(rows->back());
     using v4l2::Coding;
     const Coding coding = camera.v4l2.coding;
-    const bool deep = camera.driver == CameraDriver::kV4l2 && coding != Coding::kGrey &&
-                      coding != Coding::kBayer8;
+    bool deep = camera.driver == CameraDriver::kV4l2 && coding != Coding::kGrey &&
+                coding != Coding::kBayer8;
+    if (camera.driver == CameraDriver::kIidc) {
+      deep = camera.iidc.coding == IidcCoding::kRaw16 || camera.iidc.coding == IidcCoding::kMono16;
+    }
     return deep ? 2 * pixels : pixels;
   }
   if (camera.driver == CameraDriver::kSim && camera.sim.layout == SimLayout::kPanorama) {

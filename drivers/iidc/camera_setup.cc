@@ -108,6 +108,8 @@ std::string ExtraJson(const ReadyCamera& camera, const std::vector<SettledFeatur
                      {"link", camera.link->name()},
                      {"format", ToString(options.format)},
                      {"mode", options.mode},
+                     {"coding", ToString(options.coding)},
+                     {"depth", camera.format.depth},
                      {"packet_bytes", camera.format.packet_bytes},
                      {"frame_bytes", camera.format.frame_bytes},
                      {"trigger_mode", options.trigger_mode},
@@ -202,6 +204,13 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
     request.height = stack.height;
     request.coding = options.coding;
   }
+  const bool deep = IsDeep(request.coding);
+  if (deep &&
+      (camera.rig.sensors.size() == ladybug::kSensors || (camera.model && !camera.model->deep))) {
+    return Fail(ErrorKind::kConfig,
+                "coding: \"{}\": expected 8 bits: how a head of six sensors sends 16 is not known",
+                ToString(request.coding));
+  }
   request.packet_bytes = static_cast<std::uint32_t>(options.packet_bytes);
   request.link_packet_bytes = camera.link->packet_bytes();
   OMNIHDR_ASSIGN(camera.format, SetUpFormat7(registers, request).Context("Format7"));
@@ -229,6 +238,8 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
   camera.picture.sensors = static_cast<int>(camera.rig.sensors.size());
   camera.picture.width = stack.width;
   camera.picture.height = stack.height;
+  camera.picture.deep = deep;
+  camera.picture.depth = camera.format.depth;
   if (compressed) {
     OMNIHDR_TRY(DisableEmbeddedInfo(registers));
   } else {
@@ -241,7 +252,7 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
                            : camera.model            ? std::string(camera.model->name)
                                                      : std::string("IIDC camera");
   info.description.serial = fmt::format("{}", camera.serial);
-  info.description.bits = 8;
+  info.description.bits = deep ? 16 : 8;
   info.description.layout = Layout::kRig;
   info.description.width = stack.width;
   info.description.height = stack.height;

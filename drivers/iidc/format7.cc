@@ -20,6 +20,7 @@ constexpr std::uint32_t kPacketRange = 0x040;
 constexpr std::uint32_t kPacketBytes = 0x044;
 constexpr std::uint32_t kPacketsPerFrame = 0x048;
 constexpr std::uint32_t kUnitPosition = 0x04C;
+constexpr std::uint32_t kDataDepth = 0x054;
 constexpr std::uint32_t kBayerOrder = 0x058;
 constexpr std::uint32_t kValueSetting = 0x07C;
 
@@ -92,7 +93,19 @@ Status SelectMode(const Registers& registers, int mode) {
 
 }  // namespace
 
-std::string_view ToString(Coding coding) { return coding == Coding::kMono8 ? "mono8" : "raw8"; }
+std::string_view ToString(Coding coding) {
+  switch (coding) {
+    case Coding::kMono8:
+      return "mono8";
+    case Coding::kMono16:
+      return "mono16";
+    case Coding::kRaw8:
+      return "raw8";
+    case Coding::kRaw16:
+      return "raw16";
+  }
+  return "?";
+}
 
 std::uint32_t ChoosePacketBytes(std::size_t image_bytes, std::uint32_t unit, std::uint32_t maximum,
                                 std::uint32_t wanted, std::size_t link_packet) {
@@ -147,8 +160,8 @@ Result<Format7Setup> SetUpFormat7(const Registers& registers, Format7Request req
   Format7Setup setup;
   setup.width = request.width;
   setup.height = request.height;
-  setup.image_bytes =
-      static_cast<std::size_t>(request.width) * static_cast<std::size_t>(request.height);
+  setup.image_bytes = static_cast<std::size_t>(request.width) *
+                      static_cast<std::size_t>(request.height) * (IsDeep(request.coding) ? 2 : 1);
   OMNIHDR_ASSIGN(const std::uint32_t range, mode.Read(kPacketRange, "PACKET_PARA_INQ"));
   const std::uint32_t unit = range >> 16;
   const std::uint32_t most = range & 0xFFFF;
@@ -191,7 +204,12 @@ Result<Format7Setup> SetUpFormat7(const Registers& registers, Format7Request req
   setup.frame_bytes = sent;
   setup.marked_ends =
       request.link_packet_bytes == 0 || setup.frame_bytes % request.link_packet_bytes != 0;
-  if (request.coding == Coding::kRaw8) {
+  if (IsDeep(request.coding)) {
+    OMNIHDR_ASSIGN(const std::uint32_t depth, mode.Read(kDataDepth, "DATA_DEPTH"));
+    // What no value of 16 bits can have is as good as not told.
+    if (depth >> 24 >= 8 && depth >> 24 <= 16) setup.depth = static_cast<int>(depth >> 24);
+  }
+  if (request.coding == Coding::kRaw8 || request.coding == Coding::kRaw16) {
     constexpr BayerOrder kOrders[] = {BayerOrder::kRggb, BayerOrder::kGbrg, BayerOrder::kGrbg,
                                       BayerOrder::kBggr};
     OMNIHDR_ASSIGN(const std::uint32_t order, mode.Read(kBayerOrder, "BAYER_ID"));

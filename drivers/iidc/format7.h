@@ -10,8 +10,12 @@
 namespace omnihdr::iidc {
 
 // How a pixel is sent.
-enum class Coding : std::uint32_t { kMono8 = 0, kRaw8 = 9 };
+enum class Coding : std::uint32_t { kMono8 = 0, kMono16 = 5, kRaw8 = 9, kRaw16 = 10 };
 std::string_view ToString(Coding coding);
+// 16-bit values, the high byte first, whatever the sensor's depth.
+constexpr bool IsDeep(Coding coding) {
+  return coding == Coding::kMono16 || coding == Coding::kRaw16;
+}
 
 // What to ask of a scalable mode.
 struct Format7Request {
@@ -36,7 +40,8 @@ struct Format7Setup {
   std::size_t frame_bytes = 0;  // as sent: the picture, then padding
   std::size_t image_bytes = 0;
   BayerOrder bayer = BayerOrder::kNone;  // as register 058 says; kNone: monochrome or not told
-  bool marked_ends = false;              // every frame ends in a short packet
+  int depth = 0;             // bits of a value that mean something (register 054); 0: not told
+  bool marked_ends = false;  // every frame ends in a short packet
 };
 
 // Largest frame that is believed, in bytes.

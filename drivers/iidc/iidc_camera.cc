@@ -362,11 +362,13 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
       fmt::format(R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
                   in_force_->measured.time.seconds(), in_force_->measured.gain.value,
                   in_force_->shutter_raw, in_force_->gain_raw);
-  Result<Image<std::uint8_t>> picture = ReadPicture(std::move(raw.bytes), camera_->picture);
+  const PictureLayout& layout = camera_->picture;
+  Result<Pixels> picture = ReadPicture(std::move(raw.bytes), layout);
   if (!picture) {
     if (frame.status == FrameStatus::kOk) frame.detail = picture.error().message;
     frame.status = FrameStatus::kCorrupt;
-    picture = Image<std::uint8_t>(camera_->picture.width, camera_->picture.height);
+    picture = layout.deep ? Pixels(Image<std::uint16_t>(layout.width, layout.height))
+                          : Pixels(Image<std::uint8_t>(layout.width, layout.height));
   }
   frame.pixels = std::move(*picture);
   return frame;

@@ -15,6 +15,7 @@ struct CameraModel {
   bool mono = false;
   // Pictures after which a new exposure is in force when triggered by software.
   int settle_frames = 0;
+  bool deep = true;  // its 16-bit codings, when its registers offer them, are what picture.h reads
   // The sensors of a head, stacked in one tall picture.
   int sensors = 1;
 };

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <utility>
 
 #include "drivers/ladybug/jpeg_frame.h"
 #include "drivers/ladybug/raw_stack.h"
@@ -31,24 +32,55 @@ std::optional<FrameFacts> ReadFacts(std::span<const std::byte> frame, const Pict
   return facts;
 }
 
-Result<Image<std::uint8_t>> ReadPicture(std::vector<std::byte> frame, const PictureLayout& layout) {
+namespace {
+
+Result<Pixels> ReadDeep(const std::vector<std::byte>& frame, const PictureLayout& layout) {
+  auto image = Image<std::uint16_t>::Uninitialized(layout.width, layout.height);
+  const std::size_t count = image.size();
+  std::uint32_t all = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::uint32_t value = std::to_integer<std::uint32_t>(frame[2 * i]) << 8 |
+                                std::to_integer<std::uint32_t>(frame[2 * i + 1]);
+    all |= value;
+    image.data()[i] = static_cast<std::uint16_t>(value);
+  }
+  const std::uint32_t meaningless = layout.depth == 0 ? 0 : (1U << (16 - layout.depth)) - 1U;
+  if ((all & meaningless) != 0) {
+    return Fail(ErrorKind::kData,
+                "values use bits {:#06x}: expected only the upper {}, as DATA_DEPTH (0x054) says: "
+                "another order of bytes, or another alignment",
+                all & meaningless, layout.depth);
+  }
+  return Pixels(std::move(image));
+}
+
+}  // namespace
+
+Result<Pixels> ReadPicture(std::vector<std::byte> frame, const PictureLayout& layout) {
   const auto width = static_cast<std::size_t>(layout.width);
   const auto height = static_cast<std::size_t>(layout.height);
   if (layout.format == PictureFormat::kJpeg) {
     OMNIHDR_ASSIGN(const ladybug::JpegFrameHeader header, ladybug::ParseJpegFrame(frame));
-    return ladybug::DecodeJpegFrame(frame, header, layout.width, layout.height / layout.sensors);
+    OMNIHDR_ASSIGN(
+        Image<std::uint8_t> stack,
+        ladybug::DecodeJpegFrame(frame, header, layout.width, layout.height / layout.sensors));
+    return Pixels(std::move(stack));
   }
-  frame.resize(width * height);
+  const std::size_t line = width * (layout.deep ? 2 : 1);
+  frame.resize(line * height);
   if (height > 2) {
-    const std::size_t covered = std::min(EmbeddedBytes(layout.embedded), width);
-    std::memcpy(frame.data(), frame.data() + 2 * width, covered);
+    const std::size_t covered = std::min(EmbeddedBytes(layout.embedded), line);
+    std::memcpy(frame.data(), frame.data() + 2 * line, covered);
   }
+  if (layout.deep) return ReadDeep(frame, layout);
   if (layout.sensors == ladybug::kSensors) {
-    return ladybug::StackFromRaw(frame, layout.width, layout.height / layout.sensors);
+    OMNIHDR_ASSIGN(Image<std::uint8_t> stack,
+                   ladybug::StackFromRaw(frame, layout.width, layout.height / layout.sensors));
+    return Pixels(std::move(stack));
   }
   Image<std::uint8_t> image = Image<std::uint8_t>::Uninitialized(layout.width, layout.height);
   std::memcpy(image.data(), frame.data(), frame.size());
-  return image;
+  return Pixels(std::move(image));
 }
 
 }  // namespace omnihdr::iidc

@@ -5,6 +5,7 @@
 #include <optional>
 #include <span>
 #include <string_view>
+#include <variant>
 #include <vector>
 
 #include "core/base/result.h"
@@ -25,6 +26,8 @@ struct PictureLayout {
   int sensors = 1;
   int width = 0;               // of one sensor; of all of them when they are not alike
   int height = 0;              // of all sensors, stacked
+  bool deep = false;           // kRaw: 16 bits a value, the high byte first
+  int depth = 0;               // deep: bits that mean something, at the top; 0 = not told
   std::uint32_t embedded = 0;  // items enabled; of no interest for kJpeg
 };
 
@@ -38,7 +41,9 @@ std::optional<FrameFacts> ReadFacts(std::span<const std::byte> frame, const Pict
 
 // The rig's stacked mosaic out of a frame's bytes. Raw: rows that are missing are black, and the
 // pixels under the embedded information are those two rows below, the nearest of their colour.
-// JPEG: all or an error (kData).
-Result<Image<std::uint8_t>> ReadPicture(std::vector<std::byte> frame, const PictureLayout& layout);
+// JPEG: all or an error (kData). Deep: values of 16 bits; kData when bits below the depth are set,
+// since then order of bytes or alignment are not what they are taken for.
+using Pixels = std::variant<Image<std::uint8_t>, Image<std::uint16_t>>;
+Result<Pixels> ReadPicture(std::vector<std::byte> frame, const PictureLayout& layout);
 
 }  // namespace omnihdr::iidc

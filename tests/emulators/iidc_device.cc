@@ -193,7 +193,7 @@ void IidcDevice::ResetFeatures() {
                      : 512U << 16 | 96;
     csr[0x004] = 4U << 16 | 2;
     csr[0x04C] = 2U << 16 | 2;
-    csr[0x014] = raw ? 1U << 31 | 1U << (31 - 9) : 1U << 31;
+    csr[0x014] = raw ? 1U << 31 | 1U << (31 - 5) | 1U << (31 - 9) | 1U << (31 - 10) : 1U << 31;
     csr[0x040] = 4U << 16 | 4096;
     csr[0x044] = 512;  // recommended
     csr[0x058] = static_cast<std::uint32_t>(BayerCode(options_.bayer)) << 24;
@@ -208,10 +208,12 @@ std::uint32_t& IidcDevice::Format7(std::uint32_t offset) {
 void IidcDevice::UpdateTotals() {
   const std::uint32_t size = Format7(0x00C);
   const std::uint32_t pixels = (size >> 16) * (size & 0xFFFF);
+  const std::uint32_t bytes = pixels * (IsDeep() ? 2 : 1);
+  Format7(0x054) = (IsDeep() ? 12U : 8U) << 24;
   const std::uint32_t packet = Format7(0x044) >> 16;
   Format7(0x034) = pixels;
-  Format7(0x03C) = pixels;
-  Format7(0x048) = packet == 0 ? 0 : (pixels + packet - 1) / packet;
+  Format7(0x03C) = bytes;
+  Format7(0x048) = packet == 0 ? 0 : (bytes + packet - 1) / packet;
 }
 
 std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
@@ -426,6 +428,20 @@ std::uint8_t IidcDevice::Value(int x, int y, double exposure) const {
   return static_cast<std::uint8_t>(std::lround(std::clamp(value, 0.0, 255.0)));
 }
 
+std::uint16_t IidcDevice::DeepPixelAt(int x, int y, double exposure_s, double gain_db) const {
+  return DeepValue(x, y, exposure_s * std::pow(10.0, gain_db / 20.0));
+}
+
+std::uint16_t IidcDevice::DeepValue(int x, int y, double exposure) const {
+  const double value = RadianceAt(x, y) * exposure * 4095.0 / 255.0;
+  return static_cast<std::uint16_t>(std::lround(std::min(4095.0, value)) << 4);
+}
+
+bool IidcDevice::IsDeep() {
+  const std::uint32_t coding = Format7(0x010) >> 24;
+  return coding == 5 || coding == 10;
+}
+
 std::vector<std::byte> IidcDevice::Pixels(const Setting& setting) {
   const std::uint32_t size = Format7(0x00C);
   const std::uint32_t place = Format7(0x008);
@@ -442,8 +458,16 @@ std::vector<std::byte> IidcDevice::Pixels(const Setting& setting) {
   std::size_t at = 0;
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width && at < bytes.size(); ++x) {
-      bytes[at++] = static_cast<std::byte>(
-          Value(x + static_cast<int>(place >> 16), y + static_cast<int>(place & 0xFFFF), exposure));
+      const int sensor_x = x + static_cast<int>(place >> 16);
+      const int sensor_y = y + static_cast<int>(place & 0xFFFF);
+      if (IsDeep()) {
+        const std::uint16_t value = DeepValue(sensor_x, sensor_y, exposure);
+        const int first = options_.low_byte_first ? 0 : 8;
+        bytes[at++] = static_cast<std::byte>(value >> first);
+        bytes[at++] = static_cast<std::byte>(value >> (8 - first));
+        continue;
+      }
+      bytes[at++] = static_cast<std::byte>(Value(sensor_x, sensor_y, exposure));
     }
   }
   if (pictures_.size() >= kMostPictures) pictures_.clear();

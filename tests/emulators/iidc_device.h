@@ -32,8 +32,9 @@ struct IidcDeviceOptions {
   std::size_t link_packet_bytes = 512;
   bool embedded_info = true;
   bool handshake_never_ends = false;
-  bool coarse_words = false;  // sixteen shutter settings share a value of register and frame
-  bool keeps_gamma = false;   // a gamma that cannot be switched off by writing
+  bool coarse_words = false;    // sixteen shutter settings share a value of register and frame
+  bool low_byte_first = false;  // in the codings of 16 bits
+  bool keeps_gamma = false;     // a gamma that cannot be switched off by writing
   // Code values by which pixels differ from the smooth scene, the same in every picture: what makes
   // a file of them as long as a real one's.
   int grain = 0;
@@ -80,6 +81,8 @@ class IidcDevice {
   // Value of a scene point before the shutter: code value at one second and 0 dB.
   double RadianceAt(int x, int y) const;
   std::uint8_t PixelAt(int x, int y, double exposure_s, double gain_db) const;
+  // In the codings of 16 bits: 12 bits, at the top.
+  std::uint16_t DeepPixelAt(int x, int y, double exposure_s, double gain_db) const;
   const IidcDeviceOptions& options() const { return options_; }
   std::uint32_t Register(std::uint32_t offset) const;  // as it is, by offset from the command base
   int triggers_refused() const;                        // while the sensor was busy
@@ -111,6 +114,8 @@ class IidcDevice {
   void PowerUp();
   void ResetFeatures();
   std::uint8_t Value(int x, int y, double exposure) const;
+  std::uint16_t DeepValue(int x, int y, double exposure) const;
+  bool IsDeep();
   std::optional<Answer> Refuses();
   std::optional<std::uint32_t> ReadOne(std::uint64_t address) const;
   bool WriteOne(std::uint64_t address, std::uint32_t value);

@@ -2,6 +2,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
+#include <variant>
 
 #include "drivers/iidc/camera_clock.h"
 #include "drivers/iidc/frame_assembler.h"
@@ -52,9 +53,12 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
         }
       }
       const auto picture = iidc::ReadPicture(std::move(frame.bytes), layout);
-      if (!picture || picture->width() != layout.width || picture->height() != layout.height) {
-        std::abort();
-      }
+      if (!picture) std::abort();
+      std::visit(
+          [&](const auto& image) {
+            if (image.width() != layout.width || image.height() != layout.height) std::abort();
+          },
+          *picture);
     }
   }
   return 0;

@@ -77,6 +77,60 @@ TEST_F(IidcCameraTest, EveryPixelIsTheScenesAtTheExposureThatTheFrameProves) {
   }
 }
 
+emulators::IidcDeviceOptions OneDeepSensor() {
+  emulators::IidcDeviceOptions options;
+  options.rows_per_sensor = options.max_height;
+  return options;
+}
+
+TEST_F(IidcCameraTest, ValuesOfTwelveBitsComeAsSixteenWithTheHighByteFirst) {
+  for (const iidc::Coding coding : {iidc::Coding::kRaw16, iidc::Coding::kMono16}) {
+    emulated_ = std::make_unique<EmulatedIidc>(OneDeepSensor());
+    iidc::IidcCameraOptions options = emulated_->CameraOptions();
+    options.coding = coding;
+    Begin(options);
+    EXPECT_EQ(info_.bits, 16);
+    for (const double seconds : {0.0005, 0.03}) {
+      const CameraFrame frame = TakeOne(seconds);
+      ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+      ASSERT_TRUE(frame.measured_exposure);
+      const double had = frame.measured_exposure->time.seconds();
+      EXPECT_NEAR(had / seconds, 1.0, 0.02);
+      const auto& pixels = std::get<Image<std::uint16_t>>(frame.pixels);
+      for (int y = 1; y < pixels.height(); y += 7) {
+        for (int x = 0; x < pixels.width(); ++x) {
+          ASSERT_EQ(pixels.at(x, y), emulated_->device->DeepPixelAt(x, y, had, 0.0));
+        }
+      }
+      // Twenty values are covered by the camera's words.
+      for (int x = 0; x < 20; ++x) EXPECT_EQ(pixels.at(x, 0), pixels.at(x, 2));
+    }
+  }
+}
+
+TEST_F(IidcCameraTest, ValuesInAnotherOrderOfBytesAreFoundOutAndNotDelivered) {
+  emulators::IidcDeviceOptions device = OneDeepSensor();
+  device.low_byte_first = true;
+  emulated_ = std::make_unique<EmulatedIidc>(device);
+  iidc::IidcCameraOptions options = emulated_->CameraOptions();
+  options.coding = iidc::Coding::kRaw16;
+  Begin(options);
+  const CameraFrame frame = TakeOne(0.01);
+  EXPECT_EQ(frame.status, FrameStatus::kCorrupt);
+  EXPECT_THAT(frame.detail, HasSubstr("expected only the upper 12, as DATA_DEPTH (0x054) says"));
+}
+
+TEST_F(IidcCameraTest, SixteenBitsOfAHeadOfSixSensorsAreRefused) {
+  emulated_ = std::make_unique<EmulatedIidc>();
+  iidc::IidcCameraOptions options = emulated_->CameraOptions();
+  options.coding = iidc::Coding::kRaw16;
+  const auto camera = emulated_->MakeCamera(options);
+  const Result<CameraInfo> info = camera->Open();
+  ASSERT_FALSE(info);
+  EXPECT_EQ(info.error().kind, ErrorKind::kConfig);
+  EXPECT_THAT(info.error().message, HasSubstr("coding: \"raw16\": expected 8 bits"));
+}
+
 TEST_F(IidcCameraTest, TheCamerasWordsInTheFirstRowAreCoveredByThePixelsTwoRowsBelow) {
   Begin();
   const CameraFrame frame = TakeOne(0.01);

@@ -238,6 +238,23 @@ TEST_F(Doctor, UsbMemoryIsHeldAgainstWhatTheCameraNeeds) {
                                  "| sudo tee /sys/module/usbcore/parameters/usbfs_memory_mb"));
 }
 
+TEST_F(Doctor, PicturesOfSixteenBitsAreTwiceAsLongAsThoseOfEight) {
+  PutCamera();
+  options_.pictures_per_second = 1.0;
+  const auto with = [&](const std::string& coding) {
+    SetConfig("[camera]\ndriver = \"iidc\"\n[camera.iidc]\nrig = \"" + Rig() + "\"\ncoding = \"" +
+              coding + "\"\n");
+  };
+  with("raw8");
+  // Six sensors of 768 x 1024, one picture a second, for 100 minutes.
+  space_.free_bytes = std::uint64_t{6} * 768 * 1024 * 6000;
+  EXPECT_THAT(Examine(), Found(Verdict::kGood, "storage-space", "100 minutes"));
+  for (const char* coding : {"raw16", "mono16"}) {
+    with(coding);
+    EXPECT_THAT(Examine(), Found(Verdict::kWarning, "storage-space", "50 minutes")) << coding;
+  }
+}
+
 TEST_F(Doctor, ARigFileThatCannotBeReadIsAProblem) {
   PutCamera();
   SetConfig("[camera]\ndriver = \"iidc\"\n[camera.iidc]\nrig = \"none.toml\"\n");
