@@ -37,6 +37,7 @@ CameraOptions MakeIidcOptions(const CameraConfig& config) {
   const IidcCameraConfig& from = config.iidc;
   iidc::IidcCameraOptions options;
   options.id = from.id;
+  options.bus = from.bus == IidcBus::kFirewire ? iidc::CameraBus::kFirewire : iidc::CameraBus::kUsb;
   options.rig_file = from.rig;
   options.format =
       from.format == IidcFormat::kJpeg ? iidc::PictureFormat::kJpeg : iidc::PictureFormat::kRaw;

@@ -136,6 +136,10 @@ class Loader {
       Problem(line_of("camera.driver"), "camera.iidc.rig",
               "\"\", expected the rig file of the camera's head with camera.driver = \"iidc\"");
     }
+    if (config.camera.iidc.bus == IidcBus::kFirewire && !config.camera.iidc.usb_recording.empty()) {
+      Problem(line_of("camera.iidc.bus"), "camera.iidc.usb_recording",
+              "set, expected \"\" with camera.iidc.bus = \"firewire\"");
+    }
     if (config.camera.driver == CameraDriver::kV4l2) {
       const v4l2::V4l2CameraOptions& camera = config.camera.v4l2;
       if (camera.layout == Layout::kRig && camera.rig_file.empty()) {
@@ -289,6 +293,8 @@ std::string_view ToString(CameraDriver value) {
 }
 
 std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
+
+std::string_view ToString(IidcBus value) { return value == IidcBus::kUsb ? "usb" : "firewire"; }
 
 std::string_view ToString(IidcCoding value) {
   switch (value) {

@@ -33,6 +33,7 @@ enum class CameraDriver { kSim, kReplay, kIidc, kV4l2 };
 enum class SimScene { kHall, kYard, kTunnel, kStreet };
 enum class SimLayout { kPanorama, kRig };
 enum class IidcFormat { kRaw, kJpeg };
+enum class IidcBus { kUsb, kFirewire };
 enum class IidcCoding { kRaw8, kMono8, kRaw16, kMono16 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
@@ -43,6 +44,7 @@ std::string_view ToString(CameraDriver value);
 std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
 std::string_view ToString(IidcFormat value);
+std::string_view ToString(IidcBus value);
 std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(OdometerKind value);
@@ -87,7 +89,8 @@ struct ReplayCameraConfig {
 
 // [camera.iidc]
 struct IidcCameraConfig {
-  std::string id;   // GUID or serial number; empty = the only camera there
+  std::string id;  // GUID or serial number; empty = the only camera there
+  IidcBus bus = IidcBus::kUsb;
   std::string rig;  // rig file; required when camera.driver = "iidc"
   IidcFormat format = IidcFormat::kRaw;
   int jpeg_quality = 90;

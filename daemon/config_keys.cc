@@ -284,6 +284,8 @@ std::vector<ConfigKey> MakeKeys() {
   add(Path("camera.replay.session", "a session directory or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.replay.session)));
 
+  add(Choice("camera.iidc.bus", std::vector{IidcBus::kUsb, IidcBus::kFirewire},
+             OMNIHDR_MEMBER(camera.iidc.bus)));
   add(CameraId());
   add(Path("camera.iidc.rig", "a rig file or \"\"", Empty::kAllowed, kPathBytes,
            OMNIHDR_MEMBER(camera.iidc.rig)));

@@ -7,7 +7,6 @@
 
 #include "drivers/iidc/settings.h"
 #include "drivers/iidc/usb_link.h"
-#include "drivers/usb/libusb_bus.h"
 #include "drivers/usb/recording.h"
 #include "drivers/v4l2/kernel_device.h"
 #include "drivers/v4l2/rig_camera.h"
@@ -19,7 +18,7 @@ const std::vector<CameraDriverEntry>& CameraDrivers() {
   static const std::vector<CameraDriverEntry> drivers{
       {"sim", "a simulated camera in a rendered HDR world"},
       {"replay", "a recorded session as a camera"},
-      {"iidc", "an IIDC camera on USB (Point Grey, FLIR)"},
+      {"iidc", "an IIDC camera on USB or FireWire (Point Grey, FLIR)"},
       {"v4l2", "a camera of the kernel's (UVC, raw sensors), or several as a rig"},
   };
   return drivers;
@@ -44,7 +43,7 @@ Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
   }
   if (const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
     OMNIHDR_TRY(iidc_options->Validate().Context("camera iidc"));
-    return iidc::MakeUsbIidcCamera(*iidc_options);
+    return iidc::MakeIidcCamera(*iidc_options);
   }
   if (const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options)) {
     OMNIHDR_TRY(v4l2_options->Validate().Context("camera v4l2"));
@@ -58,7 +57,9 @@ Result<std::unique_ptr<Camera>> MakeCamera(const CameraOptions& options) {
 Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
     const CameraOptions& options) {
   if (const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
-    const auto finder = iidc::MakeUsbFinder(usb::MakeLibusbBus());
+    iidc::IidcCameraOptions unrecorded = *iidc_options;
+    unrecorded.usb_recording.clear();
+    const auto finder = iidc::MakeFinder(unrecorded);
     std::vector<std::unique_ptr<CameraSettings>> settings;
     OMNIHDR_ASSIGN(auto made, iidc::OpenSettings(*finder, iidc_options->id));
     settings.push_back(std::move(made));
@@ -78,9 +79,9 @@ namespace {
 
 Result<iidc::IidcCameraOptions> Recordable(const CameraOptions& options) {
   const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options);
-  if (iidc_options != nullptr) return *iidc_options;
+  if (iidc_options != nullptr && iidc_options->bus == iidc::CameraBus::kUsb) return *iidc_options;
   return Fail(ErrorKind::kUsage,
-              "camera.driver: \"{}\": expected \"iidc\": the traffic of others "
+              "camera.driver: \"{}\": expected \"iidc\" on USB: the traffic of others "
               "cannot be recorded",
               CameraDrivers()[options.index()].name);
 }

@@ -17,8 +17,7 @@
 #include "daemon/cli/camera_trial.h"
 #include "daemon/cli/command.h"
 #include "drivers/iidc/config_rom.h"
-#include "drivers/iidc/usb_link.h"
-#include "drivers/usb/libusb_bus.h"
+#include "drivers/iidc/iidc_camera.h"
 #include "drivers/v4l2/find_camera.h"
 #include "drivers/v4l2/kernel_device.h"
 
@@ -43,9 +42,11 @@ struct CameraArguments {
 
 // --- list
 
-Json IidcCameras() {
+Json IidcCameras(iidc::CameraBus bus) {
   Json cameras = Json::array();
-  const auto finder = iidc::MakeUsbFinder(usb::MakeLibusbBus());
+  iidc::IidcCameraOptions options;
+  options.bus = bus;
+  const auto finder = iidc::MakeFinder(options);
   const auto candidates = finder->Find();
   if (!candidates)
     return Json::array({{{"driver", "iidc"}, {"problem", candidates.error().message}}});
@@ -82,13 +83,17 @@ Json V4l2Cameras() {
 }
 
 Result<int> List(const CameraArguments& arguments) {
-  Json cameras = IidcCameras();
+  Json cameras = IidcCameras(iidc::CameraBus::kUsb);
+  for (Json& camera : IidcCameras(iidc::CameraBus::kFirewire)) {
+    // A machine without FireWire is not worth a line; a device that is no camera is.
+    if (camera.contains("place")) cameras.push_back(std::move(camera));
+  }
   for (Json& camera : V4l2Cameras()) cameras.push_back(std::move(camera));
   if (arguments.json) {
     fmt::print("{}\n", cameras.dump(2));
     return 0;
   }
-  if (cameras.empty()) fmt::print("no IIDC camera on USB and no V4L2 device\n");
+  if (cameras.empty()) fmt::print("no IIDC camera on USB or FireWire and no V4L2 device\n");
   for (const Json& camera : cameras) {
     const auto text = [&camera](const char* key) { return camera.value(key, std::string()); };
     fmt::print("{:<5} {:<28} {}  {}{}\n", text("driver"), text("place"), text("id"), text("model"),

@@ -146,6 +146,37 @@ void CheckUsbMemory(Examination& e) {
                         wanted, file.string(), wanted, wanted));
 }
 
+// Nodes by what the kernel read from their configuration ROMs; the controller's own node is what
+// isochronous reception opens.
+void CheckFirewireCameras(Examination& e) {
+  const fs::path devices = "/sys/bus/firewire/devices";
+  std::vector<std::string> cameras;
+  std::vector<std::string> controllers;
+  for (const std::string& name : DirectoryNames(e.machine.At(devices))) {
+    const std::string units = e.machine.Text(devices / name / "units");
+    // IIDC: of the 1394 Trade Association, or of Point Grey's own number.
+    const bool iidc = units.find("0x00a02d:0x00010") != std::string::npos ||
+                      units.find("0x00b09d:0x00010") != std::string::npos;
+    if (iidc) cameras.push_back(name);
+    if (e.machine.Text(devices / name / "is_local") == "1") controllers.push_back(name);
+  }
+  if (controllers.empty()) {
+    e.Problem("camera", "no FireWire controller",
+              "sudo modprobe firewire_ohci; lspci | grep -i 1394; sudo dmesg | tail");
+    return;
+  }
+  for (const std::string& name : controllers) {
+    CheckNode(e, "camera-controller", "/dev/" + name, "video", "sudo modprobe firewire_ohci");
+  }
+  if (cameras.empty()) {
+    e.Problem("camera", "no IIDC camera on FireWire",
+              "check its power and cable, then: sudo dmesg | tail; ls /sys/bus/firewire/devices");
+  }
+  for (const std::string& name : cameras) {
+    CheckNode(e, "camera", "/dev/" + name, "video", "unplug the camera and plug it in again");
+  }
+}
+
 // A USB device that says it is a video camera, whether or not a driver has taken it.
 bool HasUsbVideo(const Machine& machine) {
   const fs::path devices = "/sys/bus/usb/devices";
@@ -356,6 +387,10 @@ void CheckCamera(Examination& e) {
       break;
     }
     case CameraDriver::kIidc:
+      if (camera.iidc.bus == IidcBus::kFirewire) {
+        CheckFirewireCameras(e);
+        break;
+      }
       CheckUsbCameras(e);
       CheckUsbMemory(e);
       break;

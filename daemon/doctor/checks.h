@@ -38,7 +38,7 @@ struct Examination {
 bool CheckNode(Examination& e, const std::string& check, const std::filesystem::path& path,
                const std::string& group, const std::string& missing);
 
-void CheckCamera(Examination& e);   // camera, camera-rig, usb-memory
+void CheckCamera(Examination& e);   // camera, camera-controller, camera-rig, usb-memory
 void CheckGpio(Examination& e);     // gpio-*
 void CheckStorage(Examination& e);  // storage, storage-volume, storage-space, storage-speed
 void CheckLinks(Examination& e);    // gnss, modbus-*

@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "core/ports/camera.h"
@@ -18,7 +19,12 @@
 
 namespace omnihdr::iidc {
 
+// What the camera is plugged into.
+enum class CameraBus { kUsb, kFirewire };
+std::string_view ToString(CameraBus bus);
+
 struct IidcCameraOptions {
+  CameraBus bus = CameraBus::kUsb;
   // Which camera: its GUID (16 hexadecimal digits) or its serial number (decimal); empty = the only
   // one there.
   std::string id;

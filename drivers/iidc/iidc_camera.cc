@@ -7,6 +7,7 @@
 #include <cmath>
 #include <utility>
 
+#include "drivers/iidc/firewire_link.h"
 #include "drivers/iidc/registers.h"
 #include "drivers/iidc/trigger_mode.h"
 #include "drivers/iidc/usb_link.h"
@@ -77,7 +78,7 @@ Status IidcCamera::Start() {
   if (!may_start) return {};
   assembler_->Reset();
   const auto begin = [this]() -> Status {
-    OMNIHDR_TRY(camera_->link->StartStream(camera_->format.frame_bytes));
+    OMNIHDR_TRY(StartLink());
     OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, Bit(31), Bit(31), "ISO_EN"));
     return {};
   };
@@ -266,11 +267,16 @@ Status IidcCamera::DropStrays() {
   return Fail(ErrorKind::kProtocol, "the camera sends without being triggered");
 }
 
+Status IidcCamera::StartLink() {
+  OMNIHDR_TRY(camera_->link->PrepareStream(*camera_->registers, camera_->format.packet_bytes));
+  return camera_->link->StartStream(camera_->format.frame_bytes);
+}
+
 Status IidcCamera::RestartStream() {
   OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, 0, Bit(31), "ISO_EN"));
   camera_->link->StopStream();
   assembler_->Reset();
-  OMNIHDR_TRY(camera_->link->StartStream(camera_->format.frame_bytes));
+  OMNIHDR_TRY(StartLink());
   OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, Bit(31), Bit(31), "ISO_EN"));
   return {};
 }
@@ -374,12 +380,20 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
   return frame;
 }
 
-std::unique_ptr<Camera> MakeUsbIidcCamera(IidcCameraOptions options) {
+std::unique_ptr<LinkFinder> MakeFinder(const IidcCameraOptions& options) {
+  if (options.bus == CameraBus::kFirewire) {
+    return MakeFirewireFinder(firewire::MakeSystemBus());
+  }
   std::shared_ptr<usb::Bus> bus = usb::MakeLibusbBus();
   if (!options.usb_recording.empty()) {
     bus = usb::MakeRecordingBus(std::move(bus), {.file = options.usb_recording});
   }
-  return std::make_unique<IidcCamera>(std::move(options), MakeUsbFinder(std::move(bus)));
+  return MakeUsbFinder(std::move(bus));
+}
+
+std::unique_ptr<Camera> MakeIidcCamera(IidcCameraOptions options) {
+  std::unique_ptr<LinkFinder> finder = MakeFinder(options);
+  return std::make_unique<IidcCamera>(std::move(options), std::move(finder));
 }
 
 }  // namespace omnihdr::iidc

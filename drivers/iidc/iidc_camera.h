@@ -75,6 +75,7 @@ class IidcCamera final : public Camera {
   void Prove(const EmbeddedInfo& info, CameraFrame& frame) const;
   bool IsStray(const RawFrame& frame, const Sent& sent);
   Status DropStrays();
+  Status StartLink();
   Status RestartStream();
 
   const IidcCameraOptions options_;
@@ -100,7 +101,8 @@ class IidcCamera final : public Camera {
   Counts counts_;  // with mutex_
 };
 
-// The cameras on this machine's USB.
-std::unique_ptr<Camera> MakeUsbIidcCamera(IidcCameraOptions options);
+// Where the options say that the camera is: this machine's USB, recorded or not, or its FireWire.
+std::unique_ptr<LinkFinder> MakeFinder(const IidcCameraOptions& options);
+std::unique_ptr<Camera> MakeIidcCamera(IidcCameraOptions options);
 
 }  // namespace omnihdr::iidc

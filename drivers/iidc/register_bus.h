@@ -37,7 +37,10 @@ struct StreamChunk {
   HostTime arrived;
 };
 
-// One open camera: its registers and its pictures. Back ends: usb_link.h, tests. One thread.
+class Registers;
+
+// One open camera: its registers and its pictures. Back ends: usb_link.h, firewire_link.h, tests.
+// One thread.
 class Link : public RegisterBus {
  public:
   // For messages: "usb 1-2 (1e10:2004)".
@@ -45,6 +48,11 @@ class Link : public RegisterBus {
   virtual std::uint16_t product() const = 0;  // USB's product number; 0 when there is none
   // Frames whose length is no multiple of this end visibly (a short packet); 0 = every frame does.
   virtual std::size_t packet_bytes() const = 0;
+  // Before every StartStream: what the camera must be told so that its pictures, in packets of so
+  // many bytes, come here.
+  virtual Status PrepareStream(const Registers& /*registers*/, std::size_t /*packet_bytes*/) {
+    return {};
+  }
   virtual Status StartStream(std::size_t frame_bytes) = 0;
   // kTemporary: nothing within the timeout. Any other error: the stream has ended.
   virtual Result<StreamChunk> ReadStream(Nanoseconds timeout) = 0;

@@ -11,10 +11,12 @@
 #include <thread>
 
 #include "drivers/all_drivers.h"
+#include "drivers/iidc/firewire_link.h"
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
 #include "drivers/v4l2/rig_camera.h"
 #include "tests/compliance/camera_suite.h"
+#include "tests/emulators/iidc_firewire.h"
 #include "tests/emulators/iidc_link.h"
 #include "tests/emulators/umockdev_usb.h"
 #include "tests/emulators/v4l2_camera_model.h"
@@ -106,17 +108,21 @@ Rig MakeReplayRig(Layout layout) {
 }
 
 // An emulated IIDC camera: in this process, or as a USB device that the real libusb talks to.
-enum class Carrier { kInProcess, kUsb };
+enum class Carrier { kInProcess, kUsb, kFirewire };
 
 struct EmulatedCamera {
-  EmulatedCamera() : device(std::make_shared<emulators::IidcDevice>(MakeOptions(), clock)) {
+  explicit EmulatedCamera(Carrier carrier)
+      : device(std::make_shared<emulators::IidcDevice>(MakeOptions(carrier), clock)) {
     const emulators::IidcDeviceOptions& options = device->options();
     std::ofstream(rig()) << emulators::EmulatedRig(6, options.max_width, options.rows_per_sensor,
                                                    options.bayer);
   }
-  static emulators::IidcDeviceOptions MakeOptions() {
+  static emulators::IidcDeviceOptions MakeOptions(Carrier carrier) {
     emulators::IidcDeviceOptions options;
     options.readout_s = 0.004;
+    if (carrier == Carrier::kFirewire) {
+      options.link_packet_bytes = emulators::IidcFirewire::kFrameEnds;
+    }
     return options;
   }
   std::filesystem::path rig() const { return folder.path() / "head.toml"; }
@@ -125,10 +131,11 @@ struct EmulatedCamera {
   const testing::TemporaryDirectory folder;
   std::shared_ptr<emulators::IidcDevice> device;
   std::unique_ptr<emulators::UmockdevUsb> usb;
+  emulators::IidcFirewire firewire{device};
 };
 
 Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureFormat::kRaw) {
-  auto emulated = std::make_shared<EmulatedCamera>();
+  auto emulated = std::make_shared<EmulatedCamera>(carrier);
   iidc::IidcCameraOptions options;
   options.rig_file = emulated->rig();
   options.format = format;
@@ -142,7 +149,9 @@ Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureForma
     rig.plug_in = [emulated] { emulated->usb->PlugIn(); };
   } else {
     rig.camera = std::make_unique<iidc::IidcCamera>(
-        options, emulators::MakeEmulatedFinder({emulated->device}));
+        options, carrier == Carrier::kFirewire
+                     ? iidc::MakeFirewireFinder(emulated->firewire.MakeBus())
+                     : emulators::MakeEmulatedFinder({emulated->device}));
     rig.unplug = [emulated] { emulated->device->Unplug(); };
     rig.plug_in = [emulated] { emulated->device->PlugIn(); };
   }
@@ -493,6 +502,7 @@ std::vector<RigFactory> AllRigs() {
       {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
       {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
       {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
+      {"iidc_firewire", [] { return MakeIidcRig(Carrier::kFirewire); }},
       {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }},
       {"v4l2", [] { return MakeV4l2Rig(false); }},
       {"v4l2_raw_sensor", [] { return MakeV4l2Rig(true); }},

@@ -103,12 +103,12 @@ class Unit(unittest.TestCase):
         for name, access in allowed:
             self.assertTrue(name.startswith("char-"), f"{name} is a node, whose number changes")
             self.assertEqual(access, "rw", name)
-        self.assertLessEqual({"char-usb_device", "char-video4linux", "char-gpiochip", "char-ttyUSB",
+        self.assertLessEqual({"char-usb_device", "char-firewire", "char-video4linux", "char-gpiochip", "char-ttyUSB",
                               "char-ttyACM", "char-ttyS"}, {name for name, _ in allowed})
 
     def test_classes_that_come_with_a_module_are_there_before_the_start(self):
         # A class in DeviceAllow= that the kernel does not know at the start stays refused.
-        self.assertLessEqual({"usbcore", "videodev", "usbserial", "cdc_acm"},
+        self.assertLessEqual({"usbcore", "firewire_core", "videodev", "usbserial", "cdc_acm"},
                              set(settings("omnihdr.modules-load.conf")))
         self.assertNotIn("DefaultDependencies", dict(UNIT["Unit"]))  # sysinit.target, so modules, first
 
@@ -250,6 +250,10 @@ class Rules(unittest.TestCase):
                      'ENV{SYSTEMD_WANTS}+="omnihdrd.service"'):
             self.assertIn(part, acting)
         self.assertTrue(any('SYMLINK+="omnihdr/camera-$attr{serial}"' in line for line in self.CAMERAS))
+
+    def test_the_firewire_controllers_own_node_is_opened_by_the_cameras_group(self):
+        rule = 'SUBSYSTEM=="firewire", ATTR{is_local}=="1", GROUP="video", MODE="0660"'
+        self.assertLess(self.CAMERAS.index(rule), self.CAMERAS.index('SUBSYSTEM!="usb", GOTO="omnihdr_cameras_end"'))
 
     def test_nobody_else_may_use_the_devices(self):
         for file in SYSTEMD.glob("*.rules"):

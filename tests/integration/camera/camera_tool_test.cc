@@ -88,7 +88,7 @@ TEST_F(CameraTool, WhatWasRecordedIsPlayedBackWithoutTheCamera) {
 TEST_F(CameraTool, WhatCannotBeRecordedOrSetIsSaid) {
   auto [code, output] = Run({"info", "--record", path("x")}, "v.toml");
   EXPECT_EQ(code, 64) << output;
-  EXPECT_THAT(output, HasSubstr("\"v4l2\": expected \"iidc\""));
+  EXPECT_THAT(output, HasSubstr("\"v4l2\": expected \"iidc\" on USB"));
   std::tie(code, output) = Run({"info", "--replay", path("head.toml")});
   EXPECT_EQ(code, 65) << output;
   std::tie(code, output) = Run({"info", "--replay", "a", "--record", "b"});

@@ -377,6 +377,9 @@ TEST(Config, KeysThatNeedEachOtherAreCheckedTogether) {
               HasSubstr("dir/test.toml:1: camera.replay.session: \"\", expected a session"));
   EXPECT_THAT(OnlyProblem("camera.driver = 'iidc'\n"),
               HasSubstr("dir/test.toml:1: camera.iidc.rig: \"\", expected the rig file"));
+  EXPECT_THAT(OnlyProblem("[camera.iidc]\nbus = 'firewire'\nusb_recording = 'x.usb'\n"),
+              HasSubstr("dir/test.toml:2: camera.iidc.usb_recording: set, expected \"\" with "
+                        "camera.iidc.bus = \"firewire\""));
   EXPECT_THAT(OnlyProblem("camera.driver = 'v4l2'\n"),
               HasSubstr("dir/test.toml:1: camera.v4l2.rig: \"\", expected the rig file"));
   EXPECT_THAT(

@@ -255,6 +255,25 @@ TEST_F(Doctor, PicturesOfSixteenBitsAreTwiceAsLongAsThoseOfEight) {
   }
 }
 
+TEST_F(Doctor, AFirewireCameraIsLookedForOnItsBusAndItsControllerMustBeOpenToo) {
+  SetConfig("[camera]\ndriver = \"iidc\"\n[camera.iidc]\nbus = \"firewire\"\nrig = \"" + Rig() +
+            "\"\n");
+  EXPECT_THAT(Examine(), Problem("camera", "no FireWire controller", "modprobe firewire_ohci"));
+  Put("/etc/group", "root:x:0:\nvideo:x:44:omnihdr\nplugdev:x:46:\nomnihdr:x:990:\n");
+  Put("/sys/bus/firewire/devices/fw0/is_local", "1\n");
+  PutNode("/dev/fw0", 0, 0, 0600);
+  std::vector<Diagnosis> found = Examine();
+  EXPECT_THAT(found, Problem("camera", "no IIDC camera on FireWire", "power and cable"));
+  EXPECT_THAT(found, Problem("camera-controller", "/dev/fw0", "usermod -aG video"));
+  PutNode("/dev/fw0", 0, kVideo, 0660);
+  Put("/sys/bus/firewire/devices/fw1/is_local", "0\n");
+  Put("/sys/bus/firewire/devices/fw1/units", "0x00b09d:0x000102\n");
+  PutNode("/dev/fw1", 0, kVideo, 0660);
+  found = Examine();
+  EXPECT_THAT(found, NoComplaint()) << Told(found);
+  EXPECT_THAT(found, Found(Verdict::kGood, "camera", "/dev/fw1"));
+}
+
 TEST_F(Doctor, ARigFileThatCannotBeReadIsAProblem) {
   PutCamera();
   SetConfig("[camera]\ndriver = \"iidc\"\n[camera.iidc]\nrig = \"none.toml\"\n");
