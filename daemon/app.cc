@@ -11,6 +11,7 @@
 
 #include "core/base/parallel_for.h"
 #include "core/session/session_reader.h"
+#include "daemon/api/token.h"
 
 // Building the daemon and taking it down. Its threads: app_stages.cc; main loop and API:
 // app_control.cc.
@@ -22,10 +23,6 @@ using std::chrono::seconds;
 
 constexpr std::size_t kMaxListeners = 4;
 constexpr std::size_t kListenerQueue = 1024;
-// The longest honest piece of work of each stage; beyond that it counts as stuck.
-constexpr auto kCameraPatience = seconds(30);
-constexpr auto kRecorderPatience = seconds(60);
-constexpr auto kPipelinePatience = seconds(600);
 // How long a stopping daemon waits for the pipeline's current step before it leaves: all state is
 // on disk, so leaving costs no more than a step done again.
 constexpr auto kPipelineGrace = seconds(30);
@@ -55,27 +52,31 @@ App::App(DaemonConfig config, SessionChoice choice, MakeParts make_parts, ReadCo
       read_config_(std::move(read_config)),
       hub_(kMaxListeners, kListenerQueue),
       state_([this](const StateReport& report) { OnStateChanged(report); }),
-      recorder_(MakeRecorderOptions(config_.recorder),
-                RecorderEvents{
-                    .journaled = [this](const FrameRecord& record) { OnJournaled(record); },
-                    .storage_failed =
-                        [this](const Error& error) {
-                          if (const auto count = storage_log_.Pass(clock_.Now())) {
-                            spdlog::error("storage: {} ({} times)", error.message, *count);
-                          }
-                          state_.Update([&](CaptureConditions& c) { c.storage = error.message; });
-                        },
-                    .storage_recovered =
-                        [this] {
-                          spdlog::info("storage: frames are stored again");
-                          state_.Update([](CaptureConditions& c) { c.storage.clear(); });
-                        }}) {}
+      recorder_(
+          MakeRecorderOptions(config_.recorder),
+          RecorderEvents{.journaled = [this](const FrameRecord& record) { OnJournaled(record); },
+                         .storage_failed =
+                             [this](const Error& error) {
+                               if (const auto count = storage_log_.Pass(clock_.Now())) {
+                                 const LogContext about({.error = "storage"});
+                                 spdlog::error("storage: {} ({} times)", error.message, *count);
+                               }
+                               ++storage_errors_;
+                               SetStorageProblem(StorageProblem::kFrames, error.message);
+                             },
+                         .storage_recovered =
+                             [this] {
+                               spdlog::info("storage: frames are stored again");
+                               SetStorageProblem(StorageProblem::kFrames, "");
+                             }}) {}
 
 App::~App() = default;
 
 Status App::Run() {
+  const LogContext stage({.stage = "main"});
   SetWorkerCount(config_.pipeline.workers);
   if (choice_.exists) OMNIHDR_TRY(ResumeSession());
+  ReadStorage(choice_.directory);
   PartsContext context;
   context.first_trigger = journaled_;
   context.room = [this] { return recorder_.free_buffers() > 0; };
@@ -87,6 +88,12 @@ Status App::Run() {
   ApiServerOptions api;
   api.socket = config_.api.socket;
   api.socket_mode = config_.api.socket_mode;
+  api.socket_group = config_.api.socket_group;
+  if (const auto tcp = ParseTcpEndpoint(config_.api.tcp)) {
+    api.tcp.address = tcp->address;
+    api.tcp.port = tcp->port;
+    OMNIHDR_ASSIGN(api.tcp.token, FindToken(config_.api.token_file));
+  }
   OMNIHDR_ASSIGN(api_, ApiServer::Listen(api, *this, hub_));
   OMNIHDR_TRY(StartLinks());
   StartStages();
@@ -95,7 +102,8 @@ Status App::Run() {
     c.waiting = "opening the camera";
   });
   notifier_.Ready();
-  spdlog::info("omnihdrd {} serves on {}", OMNIHDR_VERSION, config_.api.socket);
+  spdlog::info("omnihdrd {} serves on {}{}", OMNIHDR_VERSION, config_.api.socket,
+               config_.api.tcp.empty() ? "" : " and " + config_.api.tcp);
   if (Status ran = loop_->Run(); !ran && outcome_) outcome_ = std::move(ran);
   return TearDown();
 }
@@ -105,8 +113,10 @@ Status App::ResumeSession() {
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(choice_.directory));
   for (const std::string& warning : writer.warnings()) spdlog::warn("{}", warning);
   std::set<std::int64_t> with_pixels;
+  std::set<std::int64_t> positions;
   for (const FrameRecord& record : contents.journal.frames) {
     lines_.Add(record.status);
+    positions.insert(Value(record.position));
     if (record.status == FrameStatus::kOk) with_pixels.insert(Value(record.position));
     if (record.odometer_m) last_odometer_m_ = record.odometer_m;
   }
@@ -118,7 +128,24 @@ Status App::ResumeSession() {
   session->directory = choice_.directory;
   session->info = contents.info;
   session->resumed = true;
+  if (const auto continuation = ContinuationOf(contents.info)) {
+    session->first_frame = continuation->first_frame;
+  }
+  session->extent = {PixelBytes(choice_.directory), positions.size(), clock_.Now()};
+  journaled_ = session->next_frame();
+  // Sessions before it in a series whose views were not finished when the daemon went away.
+  for (const std::filesystem::path& before : UnfinishedBefore(choice_.directory)) {
+    OMNIHDR_ASSIGN(const SessionContents earlier, ReadSession(before));
+    std::set<std::int64_t> pixels;
+    for (const FrameRecord& record : earlier.journal.frames) {
+      if (record.status == FrameStatus::kOk) pixels.insert(Value(record.position));
+    }
+    positions_with_pixels_ += pixels.size();
+    views_queue_.push_back(before);
+    spdlog::info("session {}: its views are finished first", before.string());
+  }
   session_ = std::move(session);
+  SetLogSession(choice_.directory.string());
   spdlog::info("session {}: continued after {} triggers{}", choice_.directory.string(), journaled_,
                choice_.ended ? "; it has ended" : "");
   if (choice_.ended) {
@@ -185,6 +212,7 @@ void App::StartStages() {
                              },
                          .frame =
                              [this](CameraFrame frame) {
+                               latency_.FrameArrived(frame.trigger, clock_.Now());
                                controller_->OnFrame(std::move(frame));
                                PrepareNext();
                              },
@@ -194,7 +222,9 @@ void App::StartStages() {
   camera_stage_ = std::make_unique<Stage>(
       "camera", [this](std::stop_token stop, Stage& self) { return RunCamera(stop, self); });
   supervisor_.Watch(
-      "camera", [this] { return camera_stage_->progress(); }, kCameraPatience, clock_.Now());
+      "camera", [this] { return camera_stage_->progress(); }, parts_.patience.camera, clock_.Now());
+  retention_stage_ = std::make_unique<Stage>(
+      "retention", [this](std::stop_token stop, Stage& self) { return RunRetention(stop, self); });
   if (config_.trigger.armed_at_start && phase_ == Phase::kRunning) {
     PostOrLog([this] { ArmNow(); });
   }
@@ -205,14 +235,20 @@ void App::PrepareNext() {
 }
 
 void App::StartSessionStages() {
+  {
+    std::lock_guard lock(mutex_);
+    views_queue_.push_back(session_->directory);
+  }
   pipeline_stage_ = std::make_unique<Stage>(
       "pipeline", [this](std::stop_token stop, Stage& self) { return RunPipeline(stop, self); });
   recorder_stage_ = std::make_unique<Stage>(
       "recorder", [this](std::stop_token stop, Stage& self) { return RunRecorder(stop, self); });
   supervisor_.Watch(
-      "recorder", [this] { return recorder_stage_->progress(); }, kRecorderPatience, clock_.Now());
+      "recorder", [this] { return recorder_stage_->progress(); }, parts_.patience.recorder,
+      clock_.Now());
   supervisor_.Watch(
-      "pipeline", [this] { return pipeline_stage_->progress(); }, kPipelinePatience, clock_.Now());
+      "pipeline", [this] { return pipeline_stage_->progress(); }, parts_.patience.pipeline,
+      clock_.Now());
 }
 
 Status App::TearDown() {
@@ -230,6 +266,7 @@ Status App::TearDown() {
     stage.reset();
   };
   join(reload_stage_);
+  join(retention_stage_);
   join(camera_stage_);
   join(recorder_stage_);
   if (pipeline_stage_) {

@@ -1,14 +1,20 @@
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <condition_variable>
+#include <cstddef>
 #include <cstdint>
+#include <deque>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/base/clock.h"
@@ -18,8 +24,9 @@
 #include "core/capture/camera_runner.h"
 #include "core/capture/capture_controller.h"
 #include "core/capture/capture_state.h"
+#include "core/capture/latency.h"
 #include "core/capture/recorder.h"
-#include "core/capture/storage_forecast.h"
+#include "core/capture/storage_guard.h"
 #include "core/pipeline/session_processor.h"
 #include "core/ports/camera.h"
 #include "core/ports/trigger.h"
@@ -30,10 +37,19 @@
 #include "daemon/event_loop.h"
 #include "daemon/logging.h"
 #include "daemon/session_choice.h"
+#include "daemon/session_rotation.h"
 #include "daemon/supervisor.h"
 #include "daemon/watchdog.h"
 
 namespace omnihdr {
+
+// The longest honest piece of work of each stage; beyond that it counts as stuck, and the service
+// manager's watchdog is not fed any more.
+struct StagePatience {
+  Nanoseconds camera = std::chrono::seconds(30);
+  Nanoseconds recorder = std::chrono::seconds(60);
+  Nanoseconds pipeline = std::chrono::seconds(600);
+};
 
 // What the daemon is put together from: made from the configuration by parts.h, from doubles in
 // tests.
@@ -54,6 +70,7 @@ struct AppParts {
   std::function<Result<std::unique_ptr<SessionProcessor>>(const std::filesystem::path& session,
                                                           ProcessorCallbacks callbacks)>
       open_pipeline;
+  StagePatience patience;
 };
 struct PartsContext {
   std::uint64_t first_trigger =
@@ -104,7 +121,22 @@ class App final : public ApiBackend {
     std::filesystem::path directory;
     SessionInfo info;
     bool resumed = false;
+    std::uint64_t first_frame = 0;  // its frames are counted from here
+    SessionExtent extent;           // the recorder's thread, once that runs
+    // The number of the next trigger: frames are counted through a series of sessions.
+    std::uint64_t next_frame() const { return std::max(first_frame, store.writer().next_frame()); }
   };
+  // The series of sessions as the recorder sees it: goes on with the next one when it is time.
+  class SeriesStore final : public FrameStore {
+   public:
+    explicit SeriesStore(App& app) : app_(app) {}
+    Status Append(const FrameRecord& record, std::span<const std::byte> file_bytes) override;
+    std::uint64_t lines() const override;
+
+   private:
+    App& app_;
+  };
+  enum class StorageProblem { kFrames, kSync, kLimit };
   enum class Phase {
     kRunning,
     kEnding,    // no more triggers; the views are being finished
@@ -130,7 +162,8 @@ class App final : public ApiBackend {
   void OnJournaled(const FrameRecord& record);
   // Pipeline thread.
   Status RunPipeline(std::stop_token stop, Stage& self);
-  Status FinishViews(SessionProcessor* processor);
+  Status FinishViews(SessionProcessor* processor, const std::filesystem::path& session);
+  void CloseViews(const SessionProcessor* processor);
   void OnViewDone(const ViewDone& view);
   void OnQualityChanged(int level, int backlog);
   void SetViewsError(const std::string& error);
@@ -168,13 +201,23 @@ class App final : public ApiBackend {
   ApiReply RefuseConfig(const Error& error);
   Status ChangeBracket(const BracketConfig& bracket);
 
+  // Storage (app_storage.cc); recorder thread, where nothing else is said.
+  void WatchStorage();
+  void ReadStorage(const std::filesystem::path& directory);
+  void SetStorageProblem(StorageProblem which, const std::string& problem);
+  Status SyncIfDue(bool at_once);
+  std::pair<Durability, Nanoseconds> durability() const;  // any thread
+  void RotateIfDue(const FrameRecord& record);
+  Status BeginNextSession(Session& current, FrameId first, const std::string& why);
+  Status RunRetention(std::stop_token stop, Stage& self);  // retention thread
+  void ApplyRetention(const std::stop_token& stop);        // retention thread
+
   // The vehicle (app_vehicle.cc).
   Status StartLinks();
   void StopLinks();
-  void CheckLinks();    // main loop
-  void ShowSoon();      // any thread
-  void ShowStatus();    // main loop
-  void WatchStorage();  // recorder thread
+  void CheckLinks();  // main loop
+  void ShowSoon();    // any thread
+  void ShowStatus();  // main loop
   Status CommandCamera(const ExposureRequest& request);
 
   std::shared_ptr<Session> session() const;
@@ -203,13 +246,19 @@ class App final : public ApiBackend {
   std::uint64_t durable_bytes_ = 0;  // of the journal
   std::uint64_t positions_with_pixels_ = 0;
   std::int64_t last_position_with_pixels_ = -1;
-  SessionProcessor::Counts views_;
+  SessionProcessor::Counts views_;         // of the session whose views are being made
+  SessionProcessor::Counts views_before_;  // of those finished before it
   bool views_caught_up_ = false;
   std::optional<std::int64_t> last_view_;
   std::string views_error_;
   bool finish_views_ = false;
   std::condition_variable_any journal_grew_;
-  StorageForecast storage_forecast_;
+  StorageGuard storage_guard_;
+  StorageReport storage_report_;
+  // Sessions whose views are to be finished, the one that is written last.
+  std::deque<std::filesystem::path> views_queue_;
+  std::uint64_t rotations_ = 0;
+  std::optional<SessionInfo> camera_session_;  // what a session of the open camera is begun with
 
   // Held while a bracket is checked against the camera and put in force.
   std::mutex plan_mutex_;
@@ -237,6 +286,8 @@ class App final : public ApiBackend {
   EventLoop::Timer* drain_timer_ = nullptr;
   EventLoop::Timer* supervise_timer_ = nullptr;
   Supervisor supervisor_;
+  FloodGate stall_log_;
+  std::string stalled_;  // the fault that a stage which stood still is
   Nanoseconds supervise_interval_ = std::chrono::seconds(1);
   std::atomic<bool> stopping_ = false;
   std::optional<double> last_odometer_m_;  // of the session that is continued
@@ -248,7 +299,18 @@ class App final : public ApiBackend {
   std::map<std::string, LinkLog, std::less<>> link_logs_;
   std::atomic<bool> shows_ = false;  // there are outputs, and they are not ended yet
   std::atomic<bool> show_wanted_ = false;
-  HostTime storage_watched_;  // recorder thread
+  // Recorder thread.
+  HostTime storage_watched_;
+  std::array<std::string, 3> storage_problems_;
+  HostTime unsynced_since_;
+  HostTime rotation_retry_;
+  // Any thread.
+  std::atomic<std::uint64_t> unsynced_ = 0;
+  std::atomic<std::uint64_t> storage_errors_ = 0;
+  std::atomic<std::uint64_t> deleted_ = 0;
+  LatencyTracker latency_;
+  std::atomic<bool> ending_ = false;  // no further session is begun
+  FloodGate retention_log_;           // retention thread
 
   Recorder recorder_;
   FloodGate drop_log_;                             // recorder thread
@@ -260,6 +322,7 @@ class App final : public ApiBackend {
   std::unique_ptr<Stage> recorder_stage_;
   std::unique_ptr<Stage> camera_stage_;
   std::unique_ptr<Stage> reload_stage_;
+  std::unique_ptr<Stage> retention_stage_;
 };
 
 }  // namespace omnihdr

@@ -173,6 +173,7 @@ void App::EndSession(const std::string& reason, bool exit_after) {
   }
   if (phase_ != Phase::kRunning) return;
   phase_ = Phase::kEnding;
+  ending_ = true;
   end_reason_ = reason;
   spdlog::info("session: ending: {}", reason);
   StopSource();
@@ -205,6 +206,7 @@ void App::StopNow(const std::string& reason) {
   if (phase_ == Phase::kStopping) return;
   DrainSource();
   phase_ = Phase::kStopping;
+  ending_ = true;
   spdlog::info("stopping: {}", reason);
   StopSource();
   armed_ = false;
@@ -263,9 +265,19 @@ void App::Supervise() {
     return;
   }
   if (const auto stalled = supervisor_.Stalled(clock_.Now())) {
-    spdlog::critical("{}: the watchdog is not fed", *stalled);
-    state_.Update([&](CaptureConditions& c) { c.fault = *stalled; });
+    if (stall_log_.Pass(clock_.Now())) {
+      spdlog::critical("{}: the watchdog is not fed", *stalled);
+    }
+    stalled_ = *stalled;
+    state_.Update([&](CaptureConditions& c) { c.fault = stalled_; });
     return;
+  }
+  if (!stalled_.empty()) {
+    spdlog::info("every stage makes progress again");
+    state_.Update([&](CaptureConditions& c) {
+      if (c.fault == stalled_) c.fault.clear();
+    });
+    stalled_.clear();
   }
   notifier_.FeedWatchdog();
 }
@@ -293,22 +305,29 @@ StatusReport App::BuildStatus() const {
     if (session_) {
       s.session_directory = session_->directory.string();
       s.session_resumed = session_->resumed;
+      s.session_first_frame = session_->first_frame;
     }
     s.camera_model = camera_model_;
     s.camera_serial = camera_serial_;
     s.lines = lines_;
     s.triggers = journaled_;
-    s.views_finished = static_cast<std::uint64_t>(std::max(views_.views_complete, 0));
-    const auto expected = views_caught_up_ ? static_cast<std::int64_t>(views_.positions_seen)
+    s.session_rotations = rotations_;
+    const std::int64_t finished = std::max(
+        std::int64_t{views_before_.views_complete} + views_.views_complete, std::int64_t{0});
+    s.views_finished = static_cast<std::uint64_t>(finished);
+    const auto expected = views_caught_up_ ? std::int64_t{views_before_.positions_seen} +
+                                                 std::int64_t{views_.positions_seen}
                                            : static_cast<std::int64_t>(positions_with_pixels_);
-    s.backlog =
-        parts_.open_pipeline ? std::max<std::int64_t>(0, expected - views_.views_complete) : 0;
+    s.backlog = parts_.open_pipeline ? std::max<std::int64_t>(0, expected - finished) : 0;
     s.quality_level = views_.quality_level;
     s.quality = DescribeQuality(views_.quality_level);
-    s.views_reduced = static_cast<std::uint64_t>(std::max(views_.views_reduced, 0));
+    s.views_reduced =
+        static_cast<std::uint64_t>(std::max(views_before_.views_reduced + views_.views_reduced, 0));
     s.last_view = last_view_;
     s.views_error = views_error_;
-    s.minutes_left = storage_forecast_.MinutesLeft();
+    s.storage = storage_report_;
+    s.durability = config_.recorder.durability;
+    s.max_loss_s = s.durability == Durability::kInterval ? config_.recorder.sync_interval_s : 0.0;
   }
   const TriggerId next = controller_->next_trigger();
   const std::uint64_t triggers = std::max(Value(next), s.triggers);
@@ -329,11 +348,26 @@ StatusReport App::BuildStatus() const {
                                   static_cast<std::uint64_t>(config_.bracket.frames_per_position)) +
         1;
   }
+  s.unsynced_frames = unsynced_;
+  s.storage_errors = storage_errors_;
+  s.deleted = deleted_;
+  if (api_) {
+    const ApiServerCounts api = api_->counts();
+    s.api_requests = api.requests;
+    s.api_refused = {{"malformed", api.malformed},
+                     {"late", api.late},
+                     {"unauthorized", api.unauthorized},
+                     {"too_many", api.too_many}};
+  }
   s.reloads = reloads_;
   s.reloads_refused = reloads_refused_;
   s.reload_error = reload_error_;
   s.restart_needed = restart_needed_;
   const HostTime now = clock_.Now();
+  s.latencies = latency_.counts();
+  if (const auto frame = latency_.last_frame()) {
+    s.last_frame_age_s = std::chrono::duration<double>(now - *frame).count();
+  }
   if (parts_.positions) s.odometer_m = parts_.positions->OdometerMetres(now);
   if (parts_.place) {
     s.gnss = parts_.place->Fix(now);

@@ -98,6 +98,11 @@ ApiReply App::ApplyConfig(const Result<DaemonConfig>& next) {
     config_.trigger.interval_s = merged.trigger.interval_s;
     config_.trigger.distance_m = merged.trigger.distance_m;
     config_.trigger.limit = merged.trigger.limit;
+    config_.session.rotation = merged.session.rotation;
+    config_.recorder.durability = merged.recorder.durability;
+    config_.recorder.sync_interval_s = merged.recorder.sync_interval_s;
+    config_.storage.limits = merged.storage.limits;
+    config_.storage.retention = merged.storage.retention;
     config_.log.level = merged.log.level;
   }
   SetLogLevel(config_.log.level);

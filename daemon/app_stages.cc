@@ -5,10 +5,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <thread>
 #include <utility>
 
 #include "core/base/background.h"
+#include "core/session/session_reader.h"
+#include "daemon/survey_volume.h"
 
 // The daemon's threads beside the main loop: camera, recorder, pipeline.
 namespace omnihdr {
@@ -53,6 +56,7 @@ void Rest(std::stop_token stop, Nanoseconds time) {
 // ---- camera thread
 
 Status App::RunCamera(std::stop_token stop, Stage& self) {
+  const LogContext stage({.stage = "camera"});
   while (!stop.stop_requested()) {
     const Nanoseconds rest = runner_->Turn();
     self.Progress();
@@ -82,6 +86,18 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   if (!plan) return fault(plan.error());
   exposure_limits_ = limits;
 
+  SessionInfo session_info;
+  session_info.camera = info.description;
+  session_info.response = info.response;
+  session_info.extra_json = info.extra_json;
+  session_info.files = info.files;
+  // Nobody asks a recorded frame for an exposure.
+  if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();
+  {
+    std::lock_guard lock(mutex_);
+    camera_session_ = session_info;
+  }
+
   std::shared_ptr<Session> session = this->session();
   if (session) {
     if (const std::string difference = Difference(session->info.camera, info.description);
@@ -90,19 +106,19 @@ Status App::OnCameraOpened(const CameraInfo& info) {
                          fmt::format("session {}: {}", session->directory.string(), difference)});
     }
   } else {
-    SessionInfo session_info;
     session_info.created = IsoUtc(clock_.NowUtc());
-    session_info.camera = info.description;
-    session_info.response = info.response;
-    session_info.extra_json = info.extra_json;
-    session_info.files = info.files;
-    // Nobody asks a recorded frame for an exposure.
-    if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();
+    // The volume may have gone since the start.
+    if (const Status volume = CheckSurveyVolume(choice_.directory, config_.storage.allow_root);
+        !volume) {
+      return fault(volume.error());
+    }
     Result<SessionWriter> writer = SessionWriter::Create(choice_.directory, session_info);
     if (!writer) return fault(writer.error());
     session = std::make_shared<Session>(std::move(*writer));
     session->directory = choice_.directory;
     session->info = std::move(session_info);
+    session->extent.since = clock_.Now();
+    SetLogSession(choice_.directory.string());
     spdlog::info("session {}: begun", choice_.directory.string());
     hub_.Publish(
         {{"event", "session"}, {"what", "begun"}, {"directory", session->directory.string()}});
@@ -132,20 +148,24 @@ void App::OnCameraAway(const Error& error) {
     c.camera_ready = false;
     c.waiting = error.message;
   });
+  const LogContext about({.error = "camera-away"});
   if (was_ready || before != error.message) spdlog::warn("camera: {}", error.message);
 }
 
 // ---- recorder thread
 
 Status App::RunRecorder(std::stop_token stop, Stage& self) {
-  const std::shared_ptr<Session> session = this->session();
+  const LogContext stage({.stage = "recorder"});
+  SeriesStore store(*this);
   std::optional<HostTime> give_up;
   while (true) {
-    const Recorder::Turn turn = recorder_.Step(session->store, milliseconds(100));
+    const Recorder::Turn turn = recorder_.Step(store, milliseconds(100));
     self.Progress();
     WatchStorage();
+    const bool last = stop.stop_requested() && turn == Recorder::Turn::kIdle;
+    const Status synced = SyncIfDue(last);
     if (stop.stop_requested()) {
-      if (turn == Recorder::Turn::kIdle) return {};
+      if (last) return synced;
       if (!give_up) give_up = clock_.Now() + seconds(10);
       if (turn == Recorder::Turn::kFailed && clock_.Now() > *give_up) {
         return Fail(ErrorKind::kIo, "{} triggers could not be journaled", recorder_.waiting());
@@ -156,6 +176,11 @@ Status App::RunRecorder(std::stop_token stop, Stage& self) {
 }
 
 void App::OnJournaled(const FrameRecord& record) {
+  const bool usable = record.status == FrameStatus::kOk;
+  const LogContext about({.trigger = std::uint64_t{Value(record.frame)},
+                          .position = Value(record.position),
+                          .error = usable ? "" : std::string(ToString(record.status))});
+  latency_.Durable(TriggerId{Value(record.frame)}, record.position, usable, clock_.Now());
   {
     std::lock_guard lock(mutex_);
     lines_.Add(record.status);
@@ -176,7 +201,9 @@ void App::OnJournaled(const FrameRecord& record) {
                           {"exposure_s", record.exposure.time.seconds()}};
   if (!record.detail.empty()) event["detail"] = record.detail;
   hub_.Publish(event);
-  if (record.status != FrameStatus::kOk) {
+  if (usable) {
+    spdlog::debug("trigger {}: {}", Value(record.frame), record.file);
+  } else {
     if (const auto count = drop_log_.Pass(clock_.Now())) {
       spdlog::warn("trigger {}: {}: {}{}", Value(record.frame), ToString(record.status),
                    record.detail, *count > 1 ? fmt::format(" ({} lost)", *count) : "");
@@ -202,6 +229,7 @@ void App::SetViewsError(const std::string& error) {
   if (error.empty()) {
     spdlog::info("views: going on");
   } else {
+    const LogContext about({.error = "views-stalled"});
     spdlog::error("views: {}", error);
   }
   state_.Update([&](CaptureConditions& c) {
@@ -215,6 +243,8 @@ void App::WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_
 }
 
 void App::OnViewDone(const ViewDone& view) {
+  const LogContext about({.position = Value(view.position)});
+  if (!view.already_complete) latency_.ViewDone(view.position, clock_.Now());
   if (!view.already_complete) {
     spdlog::info(
         "view {}: done in {:.2f} s (pose {:.2f}, stereo {:.2f}, merge {:.2f}, write {:.2f})",
@@ -258,21 +288,38 @@ void App::OnQualityChanged(int level, int backlog) {
                 {"waiting", backlog}});
 }
 
-Status App::FinishViews(SessionProcessor* processor) {
+Status App::FinishViews(SessionProcessor* processor, const std::filesystem::path& session) {
   if (processor != nullptr) OMNIHDR_TRY(processor->Finish());
-  const std::shared_ptr<Session> session = this->session();
-  if (SessionEnded(session->directory)) return {};
-  std::uint64_t frames = 0;
+  if (SessionEnded(session)) return {};
+  std::optional<std::uint64_t> frames;
   {
     std::lock_guard lock(mutex_);
-    frames = journaled_;
+    if (session == session_->directory) frames = journaled_ - session_->first_frame;
   }
-  return MarkSessionEnded(session->directory, frames, clock_.NowUtc());
+  if (!frames) {
+    OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));
+    frames = contents.journal.frames.size() + contents.journal.rejected.size();
+  }
+  return MarkSessionEnded(session, *frames, clock_.NowUtc());
+}
+
+void App::CloseViews(const SessionProcessor* processor) {
+  std::lock_guard lock(mutex_);
+  if (processor != nullptr) {
+    const SessionProcessor::Counts counts = processor->counts();
+    views_before_.positions_seen += counts.positions_seen;
+    views_before_.views_complete += counts.views_complete;
+    views_before_.views_reduced += counts.views_reduced;
+  }
+  const int quality_level = views_.quality_level;
+  views_ = {};
+  views_.quality_level = quality_level;
+  views_queue_.pop_front();
 }
 
 Status App::RunPipeline(std::stop_token stop, Stage& self) {
   const BackgroundThread background;  // capture goes first
-  const std::shared_ptr<Session> session = this->session();
+  const LogContext stage({.stage = "pipeline"});
   std::unique_ptr<SessionProcessor> processor;
   Nanoseconds retry = kViewsFirstRetry;
   bool ended = false;
@@ -283,18 +330,29 @@ Status App::RunPipeline(std::stop_token stop, Stage& self) {
   };
   while (!stop.stop_requested()) {
     self.Progress();
+    // Read before the step: what is journaled before the session was closed will then have been
+    // seen.
+    std::filesystem::path session;
+    bool closed = false;  // another session is written, this one's journal does not grow
+    {
+      std::lock_guard lock(mutex_);
+      session = views_queue_.front();
+      closed = views_queue_.size() > 1;
+    }
     if (!processor && parts_.open_pipeline) {
       ProcessorCallbacks callbacks;
       callbacks.view_done = [this](const ViewDone& view) { OnViewDone(view); };
       callbacks.warning = [](const std::string& message) { spdlog::warn("{}", message); };
-      callbacks.durable_bytes = [this] {
+      callbacks.durable_bytes = [this, session] {
         std::lock_guard lock(mutex_);
-        return durable_bytes_;
+        // A session that another one goes on from was synced as a whole.
+        const bool written = session_ && session_->directory == session;
+        return written ? durable_bytes_ : std::numeric_limits<std::uint64_t>::max();
       };
       callbacks.quality_changed = [this](int level, int backlog) {
         OnQualityChanged(level, backlog);
       };
-      auto opened = parts_.open_pipeline(session->directory, std::move(callbacks));
+      auto opened = parts_.open_pipeline(session, std::move(callbacks));
       if (!opened) {
         failed(opened.error());
         continue;
@@ -319,9 +377,15 @@ Status App::RunPipeline(std::stop_token stop, Stage& self) {
       progress = *step;
     }
     const bool idle = progress == SessionProcessor::Progress::kNothingNew;
-    if (idle && finish && !ended) {
-      if (const Status finished = FinishViews(processor.get()); !finished) {
+    if (idle && (closed || finish) && !ended) {
+      if (const Status finished = FinishViews(processor.get(), session); !finished) {
         failed(finished.error());
+        continue;
+      }
+      if (closed) {
+        spdlog::info("session {}: all views are finished", session.string());
+        CloseViews(processor.get());
+        processor.reset();
         continue;
       }
       ended = true;

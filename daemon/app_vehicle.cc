@@ -1,6 +1,5 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
-#include <sys/statvfs.h>
 
 #include <algorithm>
 #include <utility>
@@ -12,11 +11,9 @@ namespace omnihdr {
 namespace {
 
 using std::chrono::milliseconds;
-using std::chrono::seconds;
 
 // A master on a field bus waits for its answer.
 constexpr auto kCommandDeadline = milliseconds(250);
-constexpr auto kStorageInterval = seconds(5);
 
 bool IsFault(CaptureState state) {
   return state == CaptureState::kFault || state == CaptureState::kStorageFull ||
@@ -103,30 +100,28 @@ void App::ShowStatus() {
   status.views_finished = from.views_finished;
   status.views_waiting = static_cast<std::uint64_t>(std::max<std::int64_t>(from.backlog, 0));
   status.quality_level = from.quality_level;
-  status.minutes_left = from.minutes_left;
+  status.minutes_left = from.storage.minutes_left;
+  status.storage_free_bytes = from.storage.free_bytes;
+  status.storage_level = !from.storage.error.empty()     ? StorageLevel::kUnreadable
+                         : !from.storage.stop.empty()    ? StorageLevel::kStop
+                         : !from.storage.warning.empty() ? StorageLevel::kWarning
+                                                         : StorageLevel::kEnough;
   status.odometer_m = from.odometer_m;
   status.gnss_fix = from.gnss.has_value();
   status.last_fault = last_fault_;
   for (const auto& output : parts_.outputs) output->Show(status);
 }
 
-void App::WatchStorage() {
-  const HostTime now = clock_.Now();
-  if (now - storage_watched_ < kStorageInterval) return;
-  storage_watched_ = now;
-  struct statvfs storage {};
-  const bool readable = ::statvfs(session()->directory.c_str(), &storage) == 0;
-  std::lock_guard lock(mutex_);
-  if (readable) {
-    storage_forecast_.Add(now, std::uint64_t{storage.f_bavail} * storage.f_frsize);
-  } else {
-    storage_forecast_.Unreadable();
-  }
-}
-
 // Main loop, from within the controller.
 Status App::CommandCamera(const ExposureRequest& request) {
+  {
+    std::lock_guard lock(mutex_);
+    if (!storage_report_.stop.empty()) {
+      return Fail(ErrorKind::kCannotCreate, "storage: {}", storage_report_.stop);
+    }
+  }
   OMNIHDR_TRY(runner_->Command(request));
+  latency_.Commanded(request.trigger, request.trigger_time, clock_.Now());
   // A pulse that cannot be given is counted by its line; the picture is taken all the same.
   if (parts_.strobe) [[maybe_unused]]
     const Status pulsed = parts_.strobe->Pulse();

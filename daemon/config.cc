@@ -3,11 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <system_error>
 #include <utility>
 
 #include "core/base/file.h"
+#include "core/base/tcp.h"
 #include "core/session/toml.h"
 #include "daemon/config_keys.h"
 
@@ -162,6 +164,13 @@ class Loader {
               "\"replay\", expected another source unless camera.driver = \"replay\"");
     }
     CheckVehicle(line_of);
+    CheckStorage(line_of);
+    if (const auto tcp = ParseTcpEndpoint(config.api.tcp);
+        tcp && !tcp->loopback() && !config.api.tcp_remote) {
+      Problem(line_of("api.tcp"), "api.tcp",
+              fmt::format("{}, expected a loopback address unless api.tcp_remote = true",
+                          TomlText(config.api.tcp)));
+    }
     const BracketConfig& bracket = config.bracket;
     if (bracket.start_s > 0.0) {
       const double longest = bracket.Exposures().back().seconds();
@@ -196,6 +205,34 @@ class Loader {
   LoadedConfig Take() && { return std::move(loaded_); }
 
  private:
+  template <typename LineOf>
+  void CheckStorage(const LineOf& line_of) {
+    const StorageLimits& limits = loaded_.config.storage.limits;
+    const RetentionOptions& retention = loaded_.config.storage.retention;
+    const auto not_above = [&](const char* stop, double stop_value, const char* warn,
+                               double warn_value) {
+      if (warn_value == 0.0 || stop_value <= warn_value) return;
+      Problem(line_of(stop), stop,
+              fmt::format("{}, expected at most {}, {}", TomlText(stop_value), warn,
+                          TomlText(warn_value)));
+    };
+    not_above("storage.stop_free_mb", limits.stop_free_mb, "storage.warn_free_mb",
+              limits.warn_free_mb);
+    not_above("storage.stop_minutes", limits.stop_minutes, "storage.warn_minutes",
+              limits.warn_minutes);
+    if (retention.deletes == Retention::kNothing) return;
+    if (!retention.on()) {
+      Problem(line_of("storage.retention"), "storage.retention_days",
+              fmt::format("0, expected it or storage.retention_gb with storage.retention = {}",
+                          TomlText(ToString(retention.deletes))));
+    }
+    if (retention.deletes == Retention::kSessions && !loaded_.config.session.name.empty()) {
+      Problem(line_of("storage.retention"), "session.name",
+              fmt::format("{}, expected \"\" with storage.retention = \"sessions\"",
+                          TomlText(loaded_.config.session.name)));
+    }
+  }
+
   // [trigger], [gpio], [modbus] and [gnss] against each other.
   template <typename LineOf>
   void CheckVehicle(const LineOf& line_of) {
@@ -276,6 +313,40 @@ std::string SourceText(const LoadedConfig& loaded, const std::string& key) {
 
 std::string_view ToString(OnExistingSession value) {
   return value == OnExistingSession::kResume ? "resume" : "refuse";
+}
+
+bool TcpEndpoint::loopback() const { return address.starts_with("127.") || address == "::1"; }
+
+std::optional<TcpEndpoint> ParseTcpEndpoint(std::string_view text) {
+  const std::size_t colon = text.rfind(':');
+  if (colon == std::string_view::npos) return std::nullopt;
+  const std::string_view port = text.substr(colon + 1);
+  std::string_view address = text.substr(0, colon);
+  const bool bracketed = address.size() > 2 && address.front() == '[' && address.back() == ']';
+  if (bracketed) address = address.substr(1, address.size() - 2);
+  // An IPv6 address has colons of its own: without brackets its port is a guess.
+  if (bracketed != (address.find(':') != std::string_view::npos)) return std::nullopt;
+  TcpEndpoint endpoint;
+  endpoint.address = address;
+  const char* const end = port.data() + port.size();
+  const auto [stop, error] = std::from_chars(port.data(), end, endpoint.port);
+  if (error != std::errc() || stop != end || endpoint.port < 1 || endpoint.port > 65535 ||
+      !IsNumericAddress(endpoint.address)) {
+    return std::nullopt;
+  }
+  return endpoint;
+}
+
+std::string_view ToString(Retention value) {
+  switch (value) {
+    case Retention::kNothing:
+      return "nothing";
+    case Retention::kViews:
+      return "views";
+    case Retention::kSessions:
+      return "sessions";
+  }
+  return "?";
 }
 
 std::string_view ToString(CameraDriver value) {

@@ -3,14 +3,17 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "core/base/result.h"
 #include "core/base/units.h"
+#include "core/capture/storage_guard.h"
 #include "core/pipeline/options.h"
 #include "core/pipeline/quality.h"
+#include "core/session/journal.h"
 #include "core/session/session.h"
 #include "drivers/gnss/gpsd_client.h"
 #include "drivers/gpio/inputs.h"
@@ -38,6 +41,12 @@ enum class IidcCoding { kRaw8, kMono8, kRaw16, kMono16 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
+// What is deleted by itself.
+enum class Retention {
+  kNothing,
+  kViews,     // of sessions that have ended: `omnihdr process` can make them again
+  kSessions,  // that have ended, as a whole
+};
 
 std::string_view ToString(OnExistingSession value);
 std::string_view ToString(CameraDriver value);
@@ -49,12 +58,21 @@ std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(OdometerKind value);
 std::string_view ToString(LogLevel value);
+std::string_view ToString(Retention value);
 
-// [session]
+// When a session ends and the next directory goes on. 0 = that limit is off.
+struct RotationLimits {
+  double gb = 0.0;  // of pixel files, 10^9 bytes
+  int positions = 0;
+  double hours = 0.0;  // since the session was begun or continued
+};
+
+// [session], with rotate_gb, rotate_positions and rotate_hours in `rotation`
 struct SessionConfig {
   std::string directory = "/var/lib/omnihdr/sessions";  // session directories are made in here
   std::string name;                                     // empty = UTC time stamp of the start
   OnExistingSession on_existing = OnExistingSession::kResume;
+  RotationLimits rotation;
 };
 
 // [camera.sim]
@@ -170,13 +188,40 @@ struct GnssConfig {
 struct RecorderConfig {
   int queue_frames = 8;
   int png_compression = 1;
+  Durability durability = Durability::kFrame;
+  double sync_interval_s = 1.0;  // durability "interval"
+};
+
+// [storage], with retention, retention_days and retention_gb in `retention`
+struct RetentionOptions {
+  Retention deletes = Retention::kNothing;
+  double days = 0.0;  // what ended longer ago is deleted; 0 = no such limit
+  double gb = 0.0;    // what may be deleted takes no more than this, 10^9 bytes; 0 = no such limit
+  bool on() const { return deletes != Retention::kNothing && (days > 0.0 || gb > 0.0); }
+};
+struct StorageConfig {
+  bool allow_root = false;
+  StorageLimits limits;
+  RetentionOptions retention;
 };
 
 // [api]
 struct ApiConfig {
   std::string socket = "/run/omnihdr/api.sock";
   unsigned socket_mode = 0660;
+  std::string socket_group;  // empty = the daemon's own
+  std::string tcp;           // "ADDRESS:PORT" or "[ADDRESS]:PORT"; empty = no TCP
+  bool tcp_remote = false;   // whether tcp may be another address than a loopback one
+  std::string token_file;    // empty = the service manager's credential
 };
+
+// A numeric address and a port, from "127.0.0.1:8787" or "[::1]:8787".
+struct TcpEndpoint {
+  std::string address;
+  int port = 0;
+  bool loopback() const;
+};
+std::optional<TcpEndpoint> ParseTcpEndpoint(std::string_view text);
 
 // [log]
 struct LogConfig {
@@ -200,6 +245,7 @@ struct DaemonConfig {
   ModbusConfig modbus;
   GnssConfig gnss;
   RecorderConfig recorder;
+  StorageConfig storage;
   ApiConfig api;
   LogConfig log;
   PipelineConfig pipeline;

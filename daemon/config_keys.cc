@@ -191,6 +191,21 @@ ConfigKey SocketMode() {
       }};
 }
 
+ConfigKey Tcp() {
+  return {"api.tcp",
+          "a numeric address and a port of 1 to 65535, such as \"127.0.0.1:8787\" or "
+          "\"[::1]:8787\", or \"\" for no TCP",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            if (value.type != TomlValue::Type::kString ||
+                (!value.text.empty() && !ParseTcpEndpoint(value.text))) {
+              return false;
+            }
+            config.api.tcp = value.text;
+            return true;
+          },
+          [](const DaemonConfig& config) { return TomlText(config.api.tcp); }};
+}
+
 ConfigKey ChromaticityKey() {
   return {
       "output.chromaticities",
@@ -233,6 +248,12 @@ std::vector<ConfigKey> MakeKeys() {
   add(Choice("session.on_existing",
              std::vector{OnExistingSession::kResume, OnExistingSession::kRefuse},
              OMNIHDR_MEMBER(session.on_existing)));
+  add(NumberOrZero("session.rotate_gb", "gigabytes", "for no such limit", 0.001, 1e6,
+                   OMNIHDR_MEMBER(session.rotation.gb)));
+  add(Whole("session.rotate_positions", "positions", 0, 1'000'000,
+            OMNIHDR_MEMBER(session.rotation.positions)));
+  add(NumberOrZero("session.rotate_hours", "hours", "for no such limit", 0.001, 1e4,
+                   OMNIHDR_MEMBER(session.rotation.hours)));
 
   add(Choice("camera.driver",
              std::vector{CameraDriver::kSim, CameraDriver::kReplay, CameraDriver::kIidc,
@@ -368,10 +389,34 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("recorder.queue_frames", "frames", 1, 256, OMNIHDR_MEMBER(recorder.queue_frames)));
   add(Whole("recorder.png_compression", "a whole number", 0, 9,
             OMNIHDR_MEMBER(recorder.png_compression)));
+  add(Choice("recorder.durability", std::vector{Durability::kFrame, Durability::kInterval},
+             OMNIHDR_MEMBER(recorder.durability)));
+  add(Number("recorder.sync_interval_s", "seconds", 0.1, 60,
+             OMNIHDR_MEMBER(recorder.sync_interval_s)));
+
+  add(Switch("storage.allow_root", OMNIHDR_MEMBER(storage.allow_root)));
+  add(Number("storage.warn_free_mb", "megabytes", 0, 1e9,
+             OMNIHDR_MEMBER(storage.limits.warn_free_mb)));
+  add(Number("storage.warn_minutes", "minutes", 0, 1e6,
+             OMNIHDR_MEMBER(storage.limits.warn_minutes)));
+  add(Number("storage.stop_free_mb", "megabytes", 0, 1e9,
+             OMNIHDR_MEMBER(storage.limits.stop_free_mb)));
+  add(Number("storage.stop_minutes", "minutes", 0, 1e6,
+             OMNIHDR_MEMBER(storage.limits.stop_minutes)));
+  add(Choice("storage.retention",
+             std::vector{Retention::kNothing, Retention::kViews, Retention::kSessions},
+             OMNIHDR_MEMBER(storage.retention.deletes)));
+  add(Number("storage.retention_days", "days", 0, 1e5, OMNIHDR_MEMBER(storage.retention.days)));
+  add(Number("storage.retention_gb", "gigabytes", 0, 1e6, OMNIHDR_MEMBER(storage.retention.gb)));
 
   add(Path("api.socket", "a socket path of at most 107 bytes", Empty::kRefused, kSocketPathBytes,
            OMNIHDR_MEMBER(api.socket)));
   add(SocketMode());
+  add(Text("api.socket_group", "a group's name", 64, OMNIHDR_MEMBER(api.socket_group)));
+  add(Tcp());
+  add(Switch("api.tcp_remote", OMNIHDR_MEMBER(api.tcp_remote)));
+  add(Path("api.token_file", "a file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(api.token_file)));
 
   add(Choice("log.level",
              std::vector{LogLevel::kDebug, LogLevel::kInfo, LogLevel::kWarning, LogLevel::kError},

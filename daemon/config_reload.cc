@@ -13,11 +13,28 @@ namespace omnihdr {
 namespace {
 
 // The list at the head of config/omnihdr.toml is held against this one by a test.
-constexpr std::array<std::string_view, 10> kLiveKeys = {"bracket.order",      "bracket.exposures_s",
-                                                        "bracket.start_s",    "bracket.step_stops",
-                                                        "bracket.count",      "bracket.gain_db",
-                                                        "trigger.interval_s", "trigger.distance_m",
-                                                        "trigger.limit",      "log.level"};
+constexpr std::array<std::string_view, 22> kLiveKeys = {"bracket.order",
+                                                        "bracket.exposures_s",
+                                                        "bracket.start_s",
+                                                        "bracket.step_stops",
+                                                        "bracket.count",
+                                                        "bracket.gain_db",
+                                                        "trigger.interval_s",
+                                                        "trigger.distance_m",
+                                                        "trigger.limit",
+                                                        "log.level",
+                                                        "session.rotate_gb",
+                                                        "session.rotate_positions",
+                                                        "session.rotate_hours",
+                                                        "recorder.durability",
+                                                        "recorder.sync_interval_s",
+                                                        "storage.warn_free_mb",
+                                                        "storage.warn_minutes",
+                                                        "storage.stop_free_mb",
+                                                        "storage.stop_minutes",
+                                                        "storage.retention",
+                                                        "storage.retention_days",
+                                                        "storage.retention_gb"};
 
 }  // namespace
 

@@ -15,6 +15,7 @@
 #include "daemon/logging.h"
 #include "daemon/parts.h"
 #include "daemon/session_choice.h"
+#include "daemon/survey_volume.h"
 
 namespace omnihdr {
 namespace {
@@ -39,6 +40,7 @@ Status Main(const Arguments& arguments) {
   InitLogging(config.log.level);
   OMNIHDR_ASSIGN(SessionChoice choice,
                  ChooseSession(config.session, arguments.session, SystemClock().NowUtc()));
+  OMNIHDR_TRY(CheckSurveyVolume(choice.directory, config.storage.allow_root));
   App app(
       config, std::move(choice),
       [&config](const PartsContext& context) { return MakeConfiguredParts(config, context); },

@@ -11,31 +11,16 @@
 #include <vector>
 
 #include "core/base/file.h"
+#include "daemon/session_rotation.h"
 
 namespace omnihdr {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::string_view kEndedFile = "ended.json";
-
 std::string FormatUtc(UtcTime time, fmt::format_string<const std::tm&> format) {
   const std::tm parts = fmt::gmtime(static_cast<std::time_t>(time.ns() / 1'000'000'000));
   return fmt::format(format, parts);
-}
-
-// Named by CompactUtc: 20260102T030405Z.
-bool IsOwnName(std::string_view name) {
-  constexpr std::string_view kPattern = "ddddddddTddddddZ";
-  return name.size() == kPattern.size() &&
-         std::equal(name.begin(), name.end(), kPattern.begin(), [](char c, char expected) {
-           return expected == 'd' ? c >= '0' && c <= '9' : c == expected;
-         });
-}
-
-bool HoldsSession(const fs::path& directory) {
-  std::error_code error;
-  return fs::exists(directory / "session.json", error);
 }
 
 // The nearest directory that exists above a new one must let us write.
@@ -59,6 +44,19 @@ Status CheckCreatable(const fs::path& directory) {
 }
 
 }  // namespace
+
+bool IsOwnSessionName(std::string_view name) {
+  constexpr std::string_view kPattern = "ddddddddTddddddZ";
+  return name.size() == kPattern.size() &&
+         std::equal(name.begin(), name.end(), kPattern.begin(), [](char c, char expected) {
+           return expected == 'd' ? c >= '0' && c <= '9' : c == expected;
+         });
+}
+
+bool HoldsSession(const fs::path& directory) {
+  std::error_code error;
+  return fs::exists(directory / "session.json", error);
+}
 
 std::string CompactUtc(UtcTime time) { return FormatUtc(time, "{:%Y%m%dT%H%M%SZ}"); }
 std::string IsoUtc(UtcTime time) { return FormatUtc(time, "{:%Y-%m-%dT%H:%M:%SZ}"); }
@@ -89,7 +87,7 @@ Result<SessionChoice> ChooseSession(const SessionConfig& config, const std::stri
     for (fs::directory_iterator it(config.directory, error), end; !error && it != end;
          it.increment(error)) {
       const std::string candidate = it->path().filename().string();
-      if (IsOwnName(candidate) && HoldsSession(it->path()) && !SessionEnded(it->path())) {
+      if (IsOwnSessionName(candidate) && HoldsSession(it->path()) && !SessionEnded(it->path())) {
         open.push_back(candidate);
       }
     }
@@ -105,12 +103,13 @@ Result<SessionChoice> ChooseSession(const SessionConfig& config, const std::stri
     OMNIHDR_TRY(CheckCreatable(choice.directory));
     return choice;
   }
-  choice.ended = SessionEnded(choice.directory);
   if (config.on_existing == OnExistingSession::kRefuse) {
     return Fail(ErrorKind::kCannotCreate,
                 "session {}: exists already, and session.on_existing is \"refuse\"",
                 choice.directory.string());
   }
+  choice.directory = NewestOfSeries(choice.directory);
+  choice.ended = SessionEnded(choice.directory);
   return choice;
 }
 

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <string>
+#include <string_view>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
@@ -24,6 +25,7 @@ struct SessionChoice {
   bool ended = false;
 };
 
+// A session that another one goes on from (session_rotation.h) is followed to the newest of them.
 // `wanted` is the command line's --session: a path when it holds a '/', else a name in
 // session.directory; empty = session.name. Without any name: the newest session there that the
 // daemon named itself and that has not ended (on_existing = "resume"), else a new one named after
@@ -32,10 +34,16 @@ struct SessionChoice {
 Result<SessionChoice> ChooseSession(const SessionConfig& config, const std::string& wanted,
                                     UtcTime now);
 
+// The file of a session that has ended.
+inline constexpr std::string_view kEndedFile = "ended.json";
+
+bool HoldsSession(const std::filesystem::path& directory);
 bool SessionEnded(const std::filesystem::path& session);
 // Durable. `frames` is the number of journal lines.
 Status MarkSessionEnded(const std::filesystem::path& session, std::uint64_t frames, UtcTime now);
 
+// Whether the daemon named a session itself, by CompactUtc.
+bool IsOwnSessionName(std::string_view name);
 // "20260102T030405Z" and "2026-01-02T03:04:05Z".
 std::string CompactUtc(UtcTime time);
 std::string IsoUtc(UtcTime time);

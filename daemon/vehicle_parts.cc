@@ -13,7 +13,7 @@
 namespace omnihdr {
 namespace {
 
-const Clock& WallClock() {
+const Clock& VehicleClock() {
   static const SystemClock clock;
   return clock;
 }
@@ -46,13 +46,13 @@ Status AddVehicleParts(const DaemonConfig& config, const PartsContext& context, 
   if (lines.trigger.name.configured() || lines.wheel.name.configured()) {
     OMNIHDR_TRY(lines.Validate().Context("gpio"));
     lines.start_m = context.last_odometer_m.value_or(0.0);
-    inputs = std::make_shared<gpio::Inputs>(lines, gpio::MakeLines(), WallClock());
+    inputs = std::make_shared<gpio::Inputs>(lines, gpio::MakeLines(), VehicleClock());
     parts.links.push_back(inputs);
   }
   if (config.gpio.outputs.configured()) {
     OMNIHDR_TRY(config.gpio.outputs.Validate().Context("gpio"));
     const auto outputs =
-        std::make_shared<gpio::Outputs>(config.gpio.outputs, gpio::MakeLines(), WallClock());
+        std::make_shared<gpio::Outputs>(config.gpio.outputs, gpio::MakeLines(), VehicleClock());
     parts.links.push_back(outputs);
     parts.outputs.push_back(outputs);
     parts.strobe = outputs;
@@ -62,21 +62,21 @@ Status AddVehicleParts(const DaemonConfig& config, const PartsContext& context, 
     modbus::VehicleOptions options = config.modbus.client;
     OMNIHDR_TRY(options.Validate().Context("modbus.client"));
     options.not_below_m = context.last_odometer_m;
-    vehicle = std::make_shared<modbus::Vehicle>(options, WallClock());
+    vehicle = std::make_shared<modbus::Vehicle>(options, VehicleClock());
     parts.links.push_back(vehicle);
   }
   if (config.modbus.server.endpoint.connection != modbus::Connection::kOff) {
     OMNIHDR_TRY(config.modbus.server.Validate().Context("modbus.server"));
     const auto server = std::make_shared<modbus::StatusServer>(
         config.modbus.server, config.modbus.control ? context.command : CommandHandler{},
-        WallClock());
+        VehicleClock());
     parts.links.push_back(server);
     parts.outputs.push_back(server);
   }
   std::shared_ptr<gnss::GpsdClient> gnss;
   if (config.gnss.enabled) {
     OMNIHDR_TRY(config.gnss.gpsd.Validate().Context("gnss"));
-    gnss = std::make_shared<gnss::GpsdClient>(config.gnss.gpsd, WallClock());
+    gnss = std::make_shared<gnss::GpsdClient>(config.gnss.gpsd, VehicleClock());
     parts.links.push_back(gnss);
   }
   if (vehicle || gnss) parts.place = std::make_shared<VehiclePlace>(vehicle, gnss);
@@ -105,7 +105,8 @@ Status AddVehicleParts(const DaemonConfig& config, const PartsContext& context, 
     OdometerTriggerOptions options;
     options.distance_m = config.trigger.distance_m;
     OMNIHDR_TRY(options.Validate().Context("trigger distance"));
-    const auto marks = std::make_shared<OdometerTrigger>(options, std::move(odometer), WallClock());
+    const auto marks =
+        std::make_shared<OdometerTrigger>(options, std::move(odometer), VehicleClock());
     parts.triggers = marks;
     parts.retune = [marks](const TriggerConfig& to) { return marks->SetDistance(to.distance_m); };
   }

@@ -11,6 +11,9 @@
 
 namespace omnihdr {
 
+// How the storage of the pictures does.
+enum class StorageLevel { kEnough, kWarning, kStop, kUnreadable };
+
 // The appliance as lamps, displays and field buses show it.
 struct ApplianceStatus {
   CaptureState state = CaptureState::kStarting;
@@ -27,6 +30,8 @@ struct ApplianceStatus {
   std::uint64_t views_waiting = 0;
   int quality_level = 0;
   std::optional<double> minutes_left;  // until the storage is full, at the present rate
+  StorageLevel storage_level = StorageLevel::kEnough;
+  std::optional<std::uint64_t> storage_free_bytes;
   std::optional<double> odometer_m;
   bool gnss_fix = false;
   std::string last_fault;  // the newest reason of a fault, a full storage or lost frames

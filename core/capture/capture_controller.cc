@@ -40,6 +40,8 @@ std::string_view ToString(MissReason reason) {
       return "camera-busy";
     case MissReason::kCameraError:
       return "camera-error";
+    case MissReason::kStorageStop:
+      return "storage-stop";
     case MissReason::kNoBuffer:
       return "no-buffer";
     case MissReason::kSourceLost:
@@ -145,9 +147,10 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
     sink_.ReleaseBuffer();
     const ErrorKind kind = commanded.error().kind;
     OpenMissed(request,
-               kind == ErrorKind::kUnavailable ? MissReason::kNoCamera
-               : kind == ErrorKind::kTemporary ? MissReason::kCameraBusy
-                                               : MissReason::kCameraError,
+               kind == ErrorKind::kUnavailable    ? MissReason::kNoCamera
+               : kind == ErrorKind::kTemporary    ? MissReason::kCameraBusy
+               : kind == ErrorKind::kCannotCreate ? MissReason::kStorageStop
+                                                  : MissReason::kCameraError,
                commanded.error().message);
   } else {
     const auto exposure = Nanoseconds(std::llround(request.exposure.time.seconds() * 1e9));

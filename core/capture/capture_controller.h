@@ -56,9 +56,10 @@ enum class MissReason {
   kCameraBusy,   // with the picture before
   kCameraError,  // it refused, or failed at its registers
   kNoBuffer,     // the storage is slower than the triggers
+  kStorageStop,  // a limit of the storage is reached: nothing more is put on it
   kSourceLost,   // the trigger source lost the event before it was read
 };
-inline constexpr std::size_t kMissReasonCount = 5;
+inline constexpr std::size_t kMissReasonCount = 6;
 std::string_view ToString(MissReason reason);
 
 struct CaptureCounts {
@@ -86,7 +87,8 @@ struct AcceptedTrigger {
 // restart. Thread-safe: OnTrigger comes from the event loop, OnFrame from the camera's thread.
 class CaptureController {
  public:
-  // Commands the camera; same law and errors as Camera::Trigger.
+  // Commands the camera; same law and errors as Camera::Trigger, and kCannotCreate when there is no
+  // storage for its frame.
   using CommandCamera = std::function<Status(const ExposureRequest&)>;
 
   // `description` is that of the session: frames of another size or depth are corrupt. `next` is

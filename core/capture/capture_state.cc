@@ -34,7 +34,8 @@ StateReport EvaluateState(const CaptureConditions& c) {
   }
   if (!c.armed) return {CaptureState::kIdle, c.idle.empty() ? "disarmed" : c.idle};
   std::string degraded;
-  for (const std::string* condition : {&c.frames_lost, &c.views_stalled, &c.links}) {
+  for (const std::string* condition :
+       {&c.frames_lost, &c.views_stalled, &c.storage_low, &c.links}) {
     if (!degraded.empty() && !condition->empty()) degraded += "; ";
     degraded += *condition;
   }

@@ -31,6 +31,7 @@ struct CaptureConditions {
   std::string waiting;        // why there is no camera
   std::string frames_lost;    // recent triggers without a usable frame
   std::string views_stalled;  // what keeps the pipeline from working
+  std::string storage_low;    // that it nears its end, or cannot be read
   std::string links;          // what connection to the vehicle is not there
   std::string idle;           // why it is disarmed; "disarmed" when empty
 };

@@ -35,6 +35,9 @@ class SessionFrameStore final : public FrameStore {
     return writer_.Append(record, file_bytes);
   }
   std::uint64_t lines() const override { return writer_.next_frame(); }
+  void SetDurability(Durability durability) { writer_.SetDurability(durability); }
+  Status Sync() { return writer_.Sync(); }
+  std::size_t unsynced() const { return writer_.unsynced(); }
   const SessionWriter& writer() const { return writer_; }
 
  private:

@@ -23,6 +23,9 @@ namespace fs = std::filesystem;
 // record.
 constexpr std::uint64_t kReserve = std::uint64_t{1} << 16;
 
+// Files that wait for Sync, at most: bounds memory and the time of one Sync.
+constexpr std::size_t kMaxUnsynced = 1024;
+
 fs::path InfoPath(const fs::path& directory) { return directory / "session.json"; }
 fs::path JournalPath(const fs::path& directory) { return directory / "frames.jsonl"; }
 
@@ -95,6 +98,10 @@ bool IsInside(const fs::path& path) {
 
 }  // namespace
 
+std::string_view ToString(Durability durability) {
+  return durability == Durability::kFrame ? "frame" : "interval";
+}
+
 Result<SessionWriter> SessionWriter::Create(const fs::path& directory, const SessionInfo& info) {
   SessionWriter writer;
   const std::string text = FormatSessionInfo(info);
@@ -123,6 +130,7 @@ Result<SessionWriter> SessionWriter::Create(const fs::path& directory, const Ses
   }
   OMNIHDR_TRY(WriteFileAtomic(InfoPath(directory), text));
   writer.directory_ = directory;
+  OMNIHDR_TRY(writer.Remember());
   return writer;
 }
 
@@ -176,6 +184,7 @@ Result<SessionWriter> SessionWriter::Resume(const fs::path& directory) {
   RemoveTemporaryFiles(directory);
   RemoveTemporaryFiles(directory / "raw");
   OMNIHDR_TRY(MakeDirectories(directory / "raw"));
+  OMNIHDR_TRY(writer.Remember());
   return writer;
 }
 
@@ -199,9 +208,7 @@ Status SessionWriter::Append(FrameRecord record, std::span<const std::byte> file
 
   Status stored;
   if (!file_bytes.empty()) {
-    const fs::path path = directory_ / record.file;
-    stored = MakeDirectories(path.parent_path());
-    if (stored) stored = WriteFileAtomic(path, file_bytes);
+    stored = StorePixels(directory_ / record.file, file_bytes);
     if (!stored) {
       record.status = FrameStatus::kDiskFull;
       record.file.clear();
@@ -216,7 +223,70 @@ Status SessionWriter::Append(FrameRecord record, std::span<const std::byte> file
   frames_at_last_position_ = position == last_position_ ? frames_at_last_position_ + 1 : 1;
   last_position_ = position;
   next_frame_ = Value(record.frame) + 1;
+  if (durability_ == Durability::kInterval) ++unsynced_lines_;
   if (!stored) return Forward(stored.error(), fmt::format("append {}", frame_name));
+  return {};
+}
+
+// Where the volume has gone from under it, the same path leads into the directory that it was
+// mounted on: nothing must be written there.
+Status SessionWriter::Remember() {
+  struct stat info {};
+  if (::stat(directory_.c_str(), &info) != 0) {
+    return FailErrno(ErrorKind::kIo, directory_.string(), errno);
+  }
+  device_ = info.st_dev;
+  inode_ = info.st_ino;
+  return {};
+}
+
+Status SessionWriter::CheckDirectory() const {
+  struct stat info {};
+  if (::stat(directory_.c_str(), &info) != 0) {
+    return FailErrno(ErrorKind::kIo, directory_.string(), errno);
+  }
+  if (info.st_dev == device_ && info.st_ino == inode_) return {};
+  return Fail(ErrorKind::kIo,
+              "{}: not the directory that was opened, expected its file system to stay mounted",
+              directory_.string());
+}
+
+Status SessionWriter::StorePixels(const fs::path& path, std::span<const std::byte> bytes) {
+  OMNIHDR_TRY(CheckDirectory());
+  OMNIHDR_TRY(MakeDirectories(path.parent_path()));
+  if (durability_ == Durability::kFrame) return WriteFileAtomic(path, bytes);
+  const std::string temporary = path.string() + ".tmp";
+  Fd fd(::open(temporary.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644));
+  if (!fd.valid()) return FailErrno(ErrorKind::kIo, temporary, errno);
+  Status written = WriteAll(fd.get(), bytes, temporary);
+  if (written && ::rename(temporary.c_str(), path.c_str()) != 0) {
+    written = FailErrno(ErrorKind::kIo, path.string(), errno);
+  }
+  if (!written) {
+    ::unlink(temporary.c_str());
+    return written;
+  }
+  unsynced_files_.push_back(path);
+  if (unsynced_files_.size() >= kMaxUnsynced) return Sync();
+  return {};
+}
+
+Status SessionWriter::Sync() {
+  std::vector<fs::path> directories;
+  for (const fs::path& path : unsynced_files_) {
+    OMNIHDR_TRY(SyncFile(path));
+    const fs::path parent = path.parent_path();
+    if (std::find(directories.begin(), directories.end(), parent) == directories.end()) {
+      directories.push_back(parent);
+    }
+  }
+  for (const fs::path& parent : directories) OMNIHDR_TRY(SyncDirectory(parent));
+  if (unsynced_lines_ > 0 && ::fdatasync(journal_.get()) != 0) {
+    return FailErrno(ErrorKind::kIo, fmt::format("{}: fdatasync", JournalPath(directory_).string()),
+                     errno);
+  }
+  unsynced_files_.clear();
+  unsynced_lines_ = 0;
   return {};
 }
 
@@ -238,7 +308,7 @@ Status SessionWriter::AppendLine(const FrameRecord& record) {
   needs_repair_ = true;
   Status written =
       WriteAll(journal_.get(), std::as_bytes(std::span(line.data(), line.size())), path);
-  if (written && ::fdatasync(journal_.get()) != 0) {
+  if (written && durability_ == Durability::kFrame && ::fdatasync(journal_.get()) != 0) {
     written = FailErrno(ErrorKind::kIo, fmt::format("{}: fdatasync", path), errno);
   }
   if (!written) {

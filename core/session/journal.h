@@ -5,6 +5,7 @@
 #include <filesystem>
 #include <span>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "core/base/file.h"
@@ -13,10 +14,20 @@
 
 namespace omnihdr {
 
+// When what is appended is made to outlast a power cut.
+enum class Durability {
+  kFrame,     // before Append returns
+  kInterval,  // at the next Sync
+};
+std::string_view ToString(Durability durability);
+
 // Writes a session: session.json once, then pixels and one journal line a frame. Law: when Append
 // returns success, the pixel file and the line are durable; whatever happens at any moment, the
 // journal is a prefix of what was appended, plus at most one torn line. One writer a session (an
-// advisory lock on frames.jsonl refuses a second). Not thread-safe.
+// advisory lock on frames.jsonl refuses a second). With Durability::kInterval pixel file and line
+// outlast the process when Append returns, and a power cut after the next successful Sync: what
+// such a cut leaves of a newer frame may be a line whose pixels are missing or do not have the CRC
+// it says. Not thread-safe.
 class SessionWriter {
  public:
   // Makes the directory (parents included), info.files, session.json and an empty journal. Fails
@@ -32,6 +43,13 @@ class SessionWriter {
   // the error is returned. record.crc32c is filled in. Empty file_bytes = a line only. On any error
   // of the line itself the journal keeps its earlier lines and the frame number is still free.
   Status Append(FrameRecord record, std::span<const std::byte> file_bytes);
+
+  void SetDurability(Durability durability) { durability_ = durability; }
+  // Makes durable what has been appended since the last one. On an error all of that is tried again
+  // with the next call.
+  Status Sync();
+  // Lines that wait for Sync.
+  std::size_t unsynced() const { return unsynced_lines_; }
 
   const std::filesystem::path& directory() const { return directory_; }
   const SessionInfo& info() const { return info_; }
@@ -52,6 +70,9 @@ class SessionWriter {
   SessionInfo info_;
   Status Repair();
   Status AppendLine(const FrameRecord& record);
+  Status StorePixels(const std::filesystem::path& path, std::span<const std::byte> bytes);
+  Status Remember();
+  Status CheckDirectory() const;
 
   Fd journal_;
   std::uint64_t journal_bytes_ = 0;   // length of the complete lines
@@ -60,6 +81,11 @@ class SessionWriter {
   std::uint64_t next_frame_ = 0;
   std::int64_t last_position_ = -1;
   int frames_at_last_position_ = 0;
+  Durability durability_ = Durability::kFrame;
+  std::vector<std::filesystem::path> unsynced_files_;
+  std::size_t unsynced_lines_ = 0;
+  std::uint64_t device_ = 0;  // of the directory, when it was opened
+  std::uint64_t inode_ = 0;
   std::vector<std::string> warnings_;
 };
 

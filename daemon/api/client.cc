@@ -10,10 +10,16 @@ namespace {
 
 constexpr std::size_t kMaxLineBytes = std::size_t{1} << 20;
 
-httplib::Client Connect(const std::filesystem::path& socket, Nanoseconds timeout) {
-  httplib::Client client(socket.string(), 80);
-  client.set_address_family(AF_UNIX);
-  client.set_socket_options([](socket_t) {});
+httplib::Client Connect(const ApiEndpoint& endpoint, Nanoseconds timeout) {
+  const bool tcp = !endpoint.address.empty();
+  httplib::Client client(tcp ? endpoint.address : endpoint.socket.string(),
+                         tcp ? endpoint.port : 80);
+  if (!tcp) {
+    client.set_address_family(AF_UNIX);
+    client.set_socket_options([](socket_t) {});
+  } else {
+    client.set_bearer_token_auth(endpoint.token);
+  }
   client.set_connection_timeout(timeout);
   client.set_read_timeout(timeout);
   client.set_write_timeout(timeout);
@@ -21,12 +27,12 @@ httplib::Client Connect(const std::filesystem::path& socket, Nanoseconds timeout
   return client;
 }
 
-tl::unexpected<Error> NoAnswer(const std::filesystem::path& socket, httplib::Error error) {
+tl::unexpected<Error> NoAnswer(const ApiEndpoint& endpoint, httplib::Error error) {
   if (error == httplib::Error::Connection || error == httplib::Error::ConnectionTimeout) {
     return Fail(ErrorKind::kUnavailable, "{}: no omnihdrd answers here: is it running?",
-                socket.string());
+                endpoint.name());
   }
-  return Fail(ErrorKind::kUnavailable, "{}: the daemon did not answer ({})", socket.string(),
+  return Fail(ErrorKind::kUnavailable, "{}: the daemon did not answer ({})", endpoint.name(),
               httplib::to_string(error));
 }
 
@@ -36,7 +42,8 @@ tl::unexpected<Error> Refusal(int http_status, const std::string& body) {
                             ? json["error"].get<std::string>()
                             : fmt::format("the daemon answered HTTP {}", http_status);
   ErrorKind kind = ErrorKind::kSoftware;
-  if (http_status == 503) kind = ErrorKind::kTemporary;
+  if (http_status == 503 || http_status == 429 || http_status == 408) kind = ErrorKind::kTemporary;
+  if (http_status == 401) kind = ErrorKind::kPermission;
   if (http_status == 422) kind = ErrorKind::kConfig;
   if (http_status == 409) kind = ErrorKind::kUnavailable;
   if (http_status == 400 || http_status == 404 || http_status == 405 || http_status == 413) {
@@ -45,8 +52,8 @@ tl::unexpected<Error> Refusal(int http_status, const std::string& body) {
   return tl::unexpected<Error>(Error{kind, std::move(message)});
 }
 
-Result<std::string> Body(const std::filesystem::path& socket, const httplib::Result& result) {
-  if (!result) return NoAnswer(socket, result.error());
+Result<std::string> Body(const ApiEndpoint& endpoint, const httplib::Result& result) {
+  if (!result) return NoAnswer(endpoint, result.error());
   if (result->status != 200) return Refusal(result->status, result->body);
   return result->body;
 }
@@ -61,9 +68,13 @@ Result<nlohmann::json> AsJson(const std::string& body) {
 
 }  // namespace
 
+std::string ApiEndpoint::name() const {
+  return address.empty() ? socket.string() : fmt::format("{}:{}", address, port);
+}
+
 Result<std::string> ApiClient::GetText(const std::string& route) {
-  httplib::Client client = Connect(socket_, timeout_);
-  return Body(socket_, client.Get(route));
+  httplib::Client client = Connect(endpoint_, timeout_);
+  return Body(endpoint_, client.Get(route));
 }
 
 Result<nlohmann::json> ApiClient::Get(const std::string& route) {
@@ -72,14 +83,14 @@ Result<nlohmann::json> ApiClient::Get(const std::string& route) {
 }
 
 Result<nlohmann::json> ApiClient::Post(const std::string& route, const nlohmann::json& body) {
-  httplib::Client client = Connect(socket_, timeout_);
+  httplib::Client client = Connect(endpoint_, timeout_);
   OMNIHDR_ASSIGN(const std::string answer,
-                 Body(socket_, client.Post(route, body.dump(), "application/json")));
+                 Body(endpoint_, client.Post(route, body.dump(), "application/json")));
   return AsJson(answer);
 }
 
 Status ApiClient::Events(const std::function<bool(const std::string&)>& line) {
-  httplib::Client client = Connect(socket_, timeout_);
+  httplib::Client client = Connect(endpoint_, timeout_);
   std::string pending;
   bool enough = false;
   int status = 0;
@@ -107,7 +118,7 @@ Status ApiClient::Events(const std::function<bool(const std::string&)>& line) {
   if (status != 0 && status != 200) return Refusal(status, pending);
   // The daemon's end may cut the stream anywhere: once it has begun, that is its end, not a
   // failure.
-  if (!result && status == 0) return NoAnswer(socket_, result.error());
+  if (!result && status == 0) return NoAnswer(endpoint_, result.error());
   return {};
 }
 

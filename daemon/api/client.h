@@ -4,17 +4,29 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <utility>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
 
 namespace omnihdr {
 
+// Where a daemon answers: on its Unix socket, or over TCP with its token.
+struct ApiEndpoint {
+  std::filesystem::path socket;
+  std::string address;  // numeric; empty = the socket
+  int port = 0;
+  std::string token;
+  std::string name() const;  // for messages
+};
+
 // The other end of the API. One call at a time.
 class ApiClient {
  public:
   explicit ApiClient(std::filesystem::path socket, Nanoseconds timeout = std::chrono::seconds(10))
-      : socket_(std::move(socket)), timeout_(timeout) {}
+      : endpoint_{std::move(socket), "", 0, ""}, timeout_(timeout) {}
+  explicit ApiClient(ApiEndpoint endpoint, Nanoseconds timeout = std::chrono::seconds(10))
+      : endpoint_(std::move(endpoint)), timeout_(timeout) {}
 
   // The JSON body of the answer. kUnavailable when nobody listens; when the daemon refuses, its own
   // words, as kTemporary (503), kConfig (422), kUsage (other 4xx) or kSoftware.
@@ -26,7 +38,7 @@ class ApiClient {
   Status Events(const std::function<bool(const std::string& line)>& line);
 
  private:
-  const std::filesystem::path socket_;
+  const ApiEndpoint endpoint_;
   const Nanoseconds timeout_;
 };
 

@@ -1,89 +1,154 @@
 #include "daemon/api/server.h"
 
 #include <fcntl.h>
-#include <httplib.h>
+#include <fmt/format.h>
+#include <grp.h>
+#include <poll.h>
+#include <sys/eventfd.h>
 #include <sys/file.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <atomic>
 #include <cerrno>
 #include <condition_variable>
 #include <cstring>
 #include <deque>
 #include <functional>
 #include <mutex>
+#include <set>
 #include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
+
+#include "core/base/file.h"
+#include "core/base/tcp.h"
+#include "daemon/api/connection.h"
+#include "daemon/api/token.h"
 
 namespace omnihdr {
 namespace {
 
-constexpr std::size_t kMaxBodyBytes = 4096;
-constexpr std::size_t kMaxWaitingConnections = 32;
-constexpr auto kKeepAlive = std::chrono::seconds(2);
+// A sign of life on an event stream: a client that has gone is noticed by the failing write.
+constexpr auto kStreamAlive = std::chrono::seconds(2);
+// How long a client may take to read its answer's end.
+constexpr auto kGoodbye = std::chrono::milliseconds(500);
 
-// A fixed number of threads with a bounded line in front of it: when that is full, connections wait
-// in the kernel, whose line is bounded too.
-class BoundedTaskQueue final : public httplib::TaskQueue {
+HostTime Now() { return SystemClock().Now(); }
+
+// So many at once, and so many a second in the long run. Any thread.
+class RateLimit {
  public:
-  explicit BoundedTaskQueue(int threads) {
-    for (int i = 0; i < threads; ++i) {
-      threads_.emplace_back([this] { Work(); });
-    }
-  }
-  void enqueue(std::function<void()> task) override {
-    std::unique_lock lock(mutex_);
-    // Not for ever: a task that is thrown away would leave its connection open for ever.
-    room_.wait_for(lock, std::chrono::seconds(5),
-                   [this] { return stopping_ || tasks_.size() < kMaxWaitingConnections; });
-    tasks_.push_back(std::move(task));
-    work_.notify_one();
-  }
-  void shutdown() override {
-    {
-      std::lock_guard lock(mutex_);
-      stopping_ = true;
-    }
-    room_.notify_all();
-    work_.notify_all();
-    for (std::thread& thread : threads_) thread.join();
+  RateLimit(double per_second, double burst)
+      : per_second_(per_second), burst_(burst), left_(burst), since_(Now()) {}
+  bool Allows() {
+    std::lock_guard lock(mutex_);
+    const HostTime now = Now();
+    left_ += static_cast<double>((now - since_).count()) * 1e-9 * per_second_;
+    left_ = std::min(left_, burst_);
+    since_ = now;
+    if (left_ < 1.0) return false;
+    left_ -= 1.0;
+    return true;
   }
 
  private:
-  void Work() {
+  const double per_second_;
+  const double burst_;
+  std::mutex mutex_;
+  double left_;
+  HostTime since_;
+};
+
+// One way in: accepts connections on a listening socket and hands them to a fixed number of
+// threads, with a bounded line in front of them.
+class Door {
+ public:
+  using Serve = std::function<void(HttpConnection&)>;
+  Door(Fd listener, int threads, Serve serve)
+      : listener_(std::move(listener)),
+        wake_(::eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK)),
+        serve_(std::move(serve)) {
+    for (int i = 0; i < threads; ++i) threads_.emplace_back([this] { Work(); });
+    threads_.emplace_back([this] { Accept(); });
+  }
+  ~Door() {
+    {
+      std::lock_guard lock(mutex_);
+      closing_ = true;
+      // Whoever waits for a request is woken; an answer that is under way is sent.
+      for (const int fd : served_) ::shutdown(fd, SHUT_RD);
+      waiting_.clear();
+    }
+    const std::uint64_t one = 1;
+    [[maybe_unused]] const ssize_t written = ::write(wake_.get(), &one, sizeof one);
+    changed_.notify_all();
+    for (std::thread& thread : threads_) thread.join();
+  }
+  Door(const Door&) = delete;
+  Door& operator=(const Door&) = delete;
+  int fd() const { return listener_.get(); }
+
+ private:
+  void Accept() {
     while (true) {
-      std::function<void()> task;
       {
         std::unique_lock lock(mutex_);
-        work_.wait(lock, [this] { return stopping_ || !tasks_.empty(); });
-        if (tasks_.empty()) return;
-        task = std::move(tasks_.front());
-        tasks_.pop_front();
+        changed_.wait(lock, [this] { return closing_ || waiting_.size() < ApiServer::kWaiting; });
+        if (closing_) return;
       }
-      room_.notify_one();
-      task();
+      pollfd watched[2] = {{listener_.get(), POLLIN, 0}, {wake_.get(), POLLIN, 0}};
+      if (::poll(watched, 2, -1) < 0 && errno != EINTR) return;
+      Fd client(::accept4(listener_.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
+      if (!client.valid()) {
+        // Too many descriptors: they come back when a request ends.
+        if (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM) {
+          std::this_thread::sleep_for(std::chrono::milliseconds(50));
+        }
+        continue;
+      }
+      std::lock_guard lock(mutex_);
+      if (closing_) return;
+      waiting_.push_back(std::move(client));
+      changed_.notify_all();
     }
   }
 
+  void Work() {
+    while (true) {
+      Fd client;
+      {
+        std::unique_lock lock(mutex_);
+        changed_.wait(lock, [this] { return closing_ || !waiting_.empty(); });
+        if (closing_) return;
+        client = std::move(waiting_.front());
+        waiting_.pop_front();
+        served_.insert(client.get());
+      }
+      changed_.notify_all();
+      HttpConnection connection(std::move(client));
+      serve_(connection);
+      // Before it is closed: its number may be another connection's right after.
+      std::lock_guard lock(mutex_);
+      served_.erase(connection.fd());
+      HttpConnection closed = std::move(connection);
+    }
+  }
+
+  const Fd listener_;
+  const Fd wake_;
+  const Serve serve_;
   std::mutex mutex_;
-  std::condition_variable work_;
-  std::condition_variable room_;
-  std::deque<std::function<void()>> tasks_;
-  bool stopping_ = false;
+  std::condition_variable changed_;
+  bool closing_ = false;
+  std::deque<Fd> waiting_;
+  std::set<int> served_;
   std::vector<std::thread> threads_;
 };
-
-void Answer(httplib::Response& response, const ApiReply& reply) {
-  response.status = reply.http_status;
-  response.set_content(
-      reply.body.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace) + "\n",
-      "application/json");
-}
-
-ApiReply NotNow(const Error& error) { return ApiReply::Refused(503, error.message); }
 
 // Whether a process listens on the socket file.
 Result<bool> SomebodyListens(const sockaddr_un& address) {
@@ -96,15 +161,74 @@ Result<bool> SomebodyListens(const sockaddr_un& address) {
   return false;
 }
 
+Result<gid_t> GroupNumber(const std::string& name) {
+  std::vector<char> room(std::size_t{1} << 16);
+  group found{};
+  group* result = nullptr;
+  if (const int error = ::getgrnam_r(name.c_str(), &found, room.data(), room.size(), &result);
+      error != 0) {
+    return FailErrno(ErrorKind::kSystem, fmt::format("api.socket_group: {}", name), error);
+  }
+  if (result == nullptr) {
+    return Fail(ErrorKind::kConfig, "api.socket_group: \"{}\", expected a group of this machine",
+                name);
+  }
+  return found.gr_gid;
+}
+
+std::string Head(const HttpAnswer& answer, std::string_view framing) {
+  return fmt::format(
+      "HTTP/1.1 {} {}\r\nContent-Type: {}\r\n{}Connection: close\r\nCache-Control: no-store\r\n"
+      "X-Content-Type-Options: nosniff\r\n{}\r\n",
+      answer.status, HttpReason(answer.status), answer.type,
+      answer.status == 401   ? "WWW-Authenticate: Bearer\r\n"
+      : answer.status == 429 ? "Retry-After: 1\r\n"
+                             : "",
+      framing);
+}
+
 }  // namespace
 
 class ApiServer::Impl {
  public:
   Impl(ApiServerOptions options, ApiBackend& backend, EventHub& hub)
-      : options_(std::move(options)), backend_(backend), hub_(hub) {}
-  ~Impl() { Close(); }
+      : options_(std::move(options)),
+        backend_(backend),
+        hub_(hub),
+        tcp_rate_(options_.tcp.requests_per_s, options_.tcp.burst) {}
+  ~Impl() {
+    tcp_.reset();
+    unix_.reset();
+    if (bound_) ::unlink(options_.socket.c_str());
+  }
 
   Status Listen() {
+    OMNIHDR_ASSIGN(Fd unix_listener, ListenUnix());
+    bound_ = true;
+    if (!options_.tcp.address.empty()) {
+      if (options_.tcp.token.size() < kMinTokenBytes) {
+        return Fail(ErrorKind::kConfig, "api.tcp: expected a token of at least {} characters",
+                    kMinTokenBytes);
+      }
+      OMNIHDR_ASSIGN(Fd listener, ListenTcp(options_.tcp.address, options_.tcp.port));
+      tcp_port_ = LocalPort(listener.get());
+      tcp_ =
+          std::make_unique<Door>(std::move(listener), kTcpThreads,
+                                 [this](HttpConnection& connection) { Serve(connection, true); });
+    }
+    unix_ =
+        std::make_unique<Door>(std::move(unix_listener), kUnixThreads,
+                               [this](HttpConnection& connection) { Serve(connection, false); });
+    return {};
+  }
+
+  ApiServerCounts counts() const {
+    return {requests_, malformed_, late_, unauthorized_, too_many_};
+  }
+  int tcp_port() const { return tcp_port_; }
+
+ private:
+  Result<Fd> ListenUnix() {
     const std::string path = options_.socket.string();
     sockaddr_un address{};
     address.sun_family = AF_UNIX;
@@ -113,6 +237,10 @@ class ApiServer::Impl {
                   sizeof(address.sun_path) - 1);
     }
     std::memcpy(address.sun_path, path.c_str(), path.size() + 1);
+    std::optional<gid_t> owner;
+    if (!options_.socket_group.empty()) {
+      OMNIHDR_ASSIGN(owner, GroupNumber(options_.socket_group));
+    }
 
     std::error_code error;
     if (const auto parent = options_.socket.parent_path(); !parent.empty()) {
@@ -140,159 +268,128 @@ class ApiServer::Impl {
       }
       ::unlink(path.c_str());
     }
-    return Start(path);
-  }
 
-  void Close() {
-    if (server_.is_running()) server_.stop();
-    if (thread_.joinable()) thread_.join();
-    if (bound_) ::unlink(options_.socket.c_str());
-    bound_ = false;
-  }
-
- private:
-  Status Start(const std::string& path) {
-    server_.set_address_family(AF_UNIX);
-    server_.set_socket_options([](socket_t) {});
-    server_.set_payload_max_length(kMaxBodyBytes);
-    // One request a connection: an idle client must not hold one of the few threads.
-    server_.set_keep_alive_max_count(1);
-    server_.set_read_timeout(std::chrono::seconds(2));
-    server_.set_write_timeout(std::chrono::seconds(2));
-    server_.new_task_queue = [threads = options_.threads] { return new BoundedTaskQueue(threads); };
-    AddRoutes();
-    // Nobody may connect before the mode is set.
+    Fd listener(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+    if (!listener.valid()) return FailErrno(ErrorKind::kSystem, "socket", errno);
+    // Nobody may connect before group and mode are set.
     const mode_t before = ::umask(0177);
-    const bool bound = server_.bind_to_port(path, 80);
+    const bool bound =
+        ::bind(listener.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
     const int error_number = errno;
     ::umask(before);
     if (!bound) return FailErrno(ErrorKind::kCannotCreate, path, error_number);
-    bound_ = true;
+    if (owner && ::chown(path.c_str(), static_cast<uid_t>(-1), *owner) != 0) {
+      return FailErrno(ErrorKind::kPermission,
+                       fmt::format("{}: give it to group {}", path, options_.socket_group), errno);
+    }
     if (::chmod(path.c_str(), static_cast<mode_t>(options_.socket_mode & 0777U)) != 0) {
       return FailErrno(ErrorKind::kCannotCreate, fmt::format("{}: set its mode", path), errno);
     }
-    thread_ = std::thread([this] { server_.listen_after_bind(); });
-    for (int i = 0; i < 500 && !server_.is_running(); ++i) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    if (::listen(listener.get(), kBacklog) != 0) {
+      return FailErrno(ErrorKind::kSystem, fmt::format("{}: listen", path), errno);
     }
-    if (!server_.is_running()) {
-      return Fail(ErrorKind::kSystem, "{}: the server did not start within 5 s", path);
+    return listener;
+  }
+
+  void Serve(HttpConnection& connection, bool tcp) {
+    HttpReader reader;
+    const HostTime deadline = Now() + options_.request_deadline;
+    const bool whole = connection.Read(reader, deadline);
+    // A client that has gone is told nothing.
+    if (!whole && Now() < deadline) return;
+    HttpAnswer answer;
+    if (!whole) {
+      ++late_;
+      answer = ToAnswer(ApiReply::Refused(408, "the request was not whole in time"));
+    } else if (reader.state() == HttpReader::State::kRefused) {
+      ++malformed_;
+      answer = ToAnswer(ApiReply::Refused(reader.status(), reader.reason()));
+    } else if (tcp && !tcp_rate_.Allows()) {
+      ++too_many_;
+      answer = ToAnswer(ApiReply::Refused(429, "too many requests: try again in a second"));
+    } else if (tcp && !HasToken(reader.request())) {
+      ++unauthorized_;
+      answer =
+          ToAnswer(ApiReply::Refused(401, "expected the header \"Authorization: Bearer TOKEN\""));
+    } else {
+      ++requests_;
+      if (reader.request().method == "GET" && reader.request().target == kEventsRoute) {
+        StreamEvents(reader.request(), connection);
+        return;
+      }
+      answer = AnswerRequest(reader.request(), backend_);
     }
-    return {};
+    Send(connection, answer);
   }
 
-  void AddRoutes() {
-    using httplib::Request;
-    using httplib::Response;
-    server_.Get("/v1/status", [this](const Request&, Response& response) {
-      const Result<StatusReport> status = backend_.GetStatus();
-      Answer(response, status ? ApiReply{200, StatusToJson(*status)} : NotNow(status.error()));
-    });
-    server_.Get("/metrics", [this](const Request&, Response& response) {
-      const Result<StatusReport> status = backend_.GetStatus();
-      if (!status) return Answer(response, NotNow(status.error()));
-      response.set_content(StatusToMetrics(*status), "text/plain; version=0.0.4; charset=utf-8");
-    });
-    server_.Get("/v1/events", [this](const Request& request, Response& response) {
-      StreamEvents(request, response);
-    });
-    const auto post = [this](const char* route, ApiReply (ApiBackend::*method)()) {
-      server_.Post(route, [this, method](const Request&, Response& response) {
-        Answer(response, (backend_.*method)());
-      });
-      RefuseGet(route);
-    };
-    post("/v1/arm", &ApiBackend::Arm);
-    post("/v1/disarm", &ApiBackend::Disarm);
-    post("/v1/trigger", &ApiBackend::Trigger);
-    post("/v1/finish", &ApiBackend::Finish);
-    post("/v1/reload", &ApiBackend::Reload);
-    server_.Post("/v1/stop", [this](const Request& request, Response& response) {
-      bool leave_open = false;
-      if (!request.body.empty()) {
-        const auto body = nlohmann::json::parse(request.body, nullptr, false);
-        if (!body.is_object() ||
-            (body.contains("leave_open") && !body["leave_open"].is_boolean())) {
-          return Answer(response,
-                        ApiReply::Refused(400, "body: expected {\"leave_open\": true or false}"));
-        }
-        leave_open = body.value("leave_open", false);
-      }
-      Answer(response, backend_.Stop(leave_open));
-    });
-    RefuseGet("/v1/stop");
-
-    server_.set_error_handler([](const Request& request, Response& response) {
-      if (!response.body.empty()) return;
-      std::string message =
-          fmt::format("{} {}: HTTP {}", request.method, request.path, response.status);
-      if (response.status == 404) message = fmt::format("{}: no such route", request.path);
-      if (response.status == 413) {
-        message = fmt::format("the body is too large: expected at most {} bytes", kMaxBodyBytes);
-      }
-      Answer(response, ApiReply::Refused(response.status, message));
-    });
-    server_.set_exception_handler(
-        [](const Request&, Response& response, std::exception_ptr thrown) {
-          std::string message = "unknown error";
-          try {
-            std::rethrow_exception(thrown);
-          } catch (const std::exception& e) {
-            message = e.what();
-          } catch (...) {
-          }
-          Answer(response, ApiReply::Refused(500, message));
-        });
+  bool HasToken(const HttpRequest& request) const {
+    constexpr std::string_view kScheme = "Bearer ";
+    std::string_view presented = request.authorization;
+    if (!presented.starts_with(kScheme)) return false;
+    presented.remove_prefix(kScheme.size());
+    return SameToken(presented, options_.tcp.token);
   }
 
-  void RefuseGet(const char* route) {
-    server_.Get(route, [route](const httplib::Request&, httplib::Response& response) {
-      Answer(response, ApiReply::Refused(405, fmt::format("{}: expected POST", route)));
-    });
+  void Send(HttpConnection& connection, const HttpAnswer& answer) const {
+    const std::string head =
+        Head(answer, fmt::format("Content-Length: {}\r\n", answer.body.size()));
+    if (!connection.Write(head + answer.body, Now() + options_.answer_deadline)) return;
+    connection.Finish(Now() + Nanoseconds(kGoodbye));
   }
 
-  void StreamEvents(const httplib::Request& request, httplib::Response& response) {
+  void StreamEvents(const HttpRequest& request, HttpConnection& connection) {
     const std::shared_ptr<EventHub::Subscription> events = hub_.Subscribe();
     if (!events) {
-      return Answer(response, ApiReply::Refused(503, "too many listeners on the event stream"));
+      return Send(connection,
+                  ToAnswer(ApiReply::Refused(503, "too many listeners on the event stream")));
     }
     const Result<StatusReport> status = backend_.GetStatus();
-    if (!status) return Answer(response, NotNow(status.error()));
-    const bool server_sent =
-        request.get_header_value("Accept").find("text/event-stream") != std::string::npos;
+    if (!status) {
+      return Send(connection, ToAnswer(ApiReply::Refused(503, status.error().message)));
+    }
+    const bool server_sent = request.accept.find("text/event-stream") != std::string::npos;
+    const auto write = [&](const std::string& text) {
+      return connection.Write(
+          request.chunks ? fmt::format("{:x}\r\n{}\r\n", text.size(), text) : text,
+          Now() + options_.answer_deadline);
+    };
     const auto frame = [server_sent](const std::string& line) {
       return server_sent ? "data: " + line + "\n\n" : line + "\n";
     };
+    HttpAnswer answer;
+    answer.type = server_sent ? "text/event-stream" : "application/x-ndjson";
     nlohmann::json first = StatusToJson(*status);
     first["event"] = "status";
-    response.set_chunked_content_provider(
-        server_sent ? "text/event-stream" : "application/x-ndjson",
-        [events, frame,
-         head = frame(first.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace))](
-            std::size_t, httplib::DataSink& sink) mutable {
-          if (!head.empty()) {
-            const bool written = sink.write(head.data(), head.size());
-            head.clear();
-            return written;
-          }
-          std::optional<std::string> event = events->Next(kKeepAlive);
-          if (!event && events->closed()) {
-            sink.done();
-            return true;
-          }
-          // A sign of life now and then: a client that has gone is noticed by the failing write.
-          const std::string text = frame(event ? *event : R"({"event":"alive"})");
-          return sink.write(text.data(), text.size());
-        });
+    if (!connection.Write(Head(answer, request.chunks ? "Transfer-Encoding: chunked\r\n" : ""),
+                          Now() + options_.answer_deadline) ||
+        !write(frame(first.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace)))) {
+      return;
+    }
+    while (true) {
+      const std::optional<std::string> event = events->Next(kStreamAlive);
+      if (!event && events->closed()) break;
+      if (!write(frame(event ? *event : R"({"event":"alive"})"))) return;
+    }
+    if (request.chunks && !connection.Write("0\r\n\r\n", Now() + options_.answer_deadline)) {
+      return;
+    }
+    connection.Finish(Now() + Nanoseconds(kGoodbye));
   }
 
   const ApiServerOptions options_;
   ApiBackend& backend_;
   EventHub& hub_;
-  httplib::Server server_;
-  std::thread thread_;
+  RateLimit tcp_rate_;
   Fd lock_;
   bool bound_ = false;
+  int tcp_port_ = 0;
+  std::atomic<std::uint64_t> requests_ = 0;
+  std::atomic<std::uint64_t> malformed_ = 0;
+  std::atomic<std::uint64_t> late_ = 0;
+  std::atomic<std::uint64_t> unauthorized_ = 0;
+  std::atomic<std::uint64_t> too_many_ = 0;
+  std::unique_ptr<Door> unix_;
+  std::unique_ptr<Door> tcp_;
 };
 
 Result<std::unique_ptr<ApiServer>> ApiServer::Listen(const ApiServerOptions& options,
@@ -304,5 +401,7 @@ Result<std::unique_ptr<ApiServer>> ApiServer::Listen(const ApiServerOptions& opt
 
 ApiServer::ApiServer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 ApiServer::~ApiServer() = default;
+ApiServerCounts ApiServer::counts() const { return impl_->counts(); }
+int ApiServer::tcp_port() const { return impl_->tcp_port(); }
 
 }  // namespace omnihdr

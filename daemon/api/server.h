@@ -1,56 +1,49 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <memory>
-#include <nlohmann/json.hpp>
 #include <string>
 
-#include "core/base/file.h"
+#include "core/base/clock.h"
 #include "core/base/result.h"
 #include "daemon/api/event_hub.h"
-#include "daemon/api/status.h"
-
-namespace httplib {
-class Server;
-}
+#include "daemon/api/routes.h"
 
 namespace omnihdr {
 
-// What a request gets: an HTTP status code and a JSON body ({"error": "..."} when it is not 200).
-struct ApiReply {
-  int http_status = 200;
-  nlohmann::json body = nlohmann::json::object();
-
-  static ApiReply Refused(int http_status, const std::string& message) {
-    return {http_status, {{"error", message}}};
-  }
-};
-
-// What the API can ask of the daemon. Called from the API's threads; every call answers within its
-// own deadline.
-class ApiBackend {
- public:
-  virtual ~ApiBackend() = default;
-  virtual Result<StatusReport> GetStatus() = 0;
-  virtual ApiReply Arm() = 0;
-  virtual ApiReply Disarm() = 0;
-  virtual ApiReply Trigger() = 0;
-  // Ends the session: no more triggers; the views that wait for neighbours are finished.
-  virtual ApiReply Finish() = 0;
-  // Ends the daemon; before that the session, unless it is to be left open for the next start.
-  virtual ApiReply Stop(bool leave_session_open) = 0;
-  // Reads the configuration again: 422 when it is refused, whole, with the reason.
-  virtual ApiReply Reload() = 0;
+// TCP, for clients that are not on this machine or not in the socket's group.
+struct ApiTcpOptions {
+  std::string address;  // numeric; empty = no TCP
+  int port = 0;         // 0 = any free one
+  std::string token;    // what "Authorization: Bearer ..." must have; required
+  // Requests a second in the long run, and at once; beyond them the answer is 429.
+  double requests_per_s = 20.0;
+  double burst = 40.0;
 };
 
 struct ApiServerOptions {
   std::filesystem::path socket;
   unsigned socket_mode = 0660;
-  // Requests served at the same time; a quarter of them may be event streams.
-  int threads = 8;
+  std::string socket_group;  // its group's name; empty = the process's
+  ApiTcpOptions tcp;
+  // From the connection to the whole request, and from the answer to its last byte; for an event
+  // stream: for each of its pieces.
+  Nanoseconds request_deadline = std::chrono::seconds(5);
+  Nanoseconds answer_deadline = std::chrono::seconds(5);
 };
 
-// The daemon's API: HTTP over a Unix socket. Routes (all answers are JSON unless stated otherwise):
+// What was refused before it was a request.
+struct ApiServerCounts {
+  std::uint64_t requests = 0;      // answered, whatever the answer
+  std::uint64_t malformed = 0;     // refused by the reader (http.h)
+  std::uint64_t late = 0;          // not whole within the deadline
+  std::uint64_t unauthorized = 0;  // without the token
+  std::uint64_t too_many = 0;      // beyond the rate
+};
+
+// The daemon's API: HTTP over a Unix socket, whose permissions say who may do everything, and over
+// TCP when configured, where a token does. Routes (all answers are JSON unless stated otherwise):
 //   GET  /v1/status    state, session, counters (status.h)
 //   POST /v1/arm, /v1/disarm, /v1/trigger
 //   POST /v1/finish    end the session, keep serving
@@ -61,19 +54,30 @@ struct ApiServerOptions {
 //   GET  /v1/events    a stream, one JSON object a line; with "Accept: text/event-stream" as
 //                      server-sent events. The first event is the status.
 //   GET  /metrics      Prometheus text
-// Errors: 400 malformed, 404, 405, 409 not in this state, 413 too large, 422 configuration refused,
-// 503 busy or not ready.
+// Errors: 400 malformed, 401 no token, 404, 405, 408 too slow, 409 not in this state, 413 too
+// large, 422 configuration refused, 429 too many requests, 503 busy or not ready.
+// Bounds: one request a connection; for each of the two ways in, kThreads requests at a time and
+// kWaiting connections that wait, further ones wait in the kernel's line of kBacklog. Nobody on TCP
+// can keep the Unix socket from answering. No request reaches a file.
 class ApiServer {
  public:
+  static constexpr int kUnixThreads = 8;
+  static constexpr int kTcpThreads = 4;
+  static constexpr std::size_t kWaiting = 32;
+  static constexpr int kBacklog = 16;
+
   // Listens at once. A socket file left behind by a daemon that is gone is replaced; when somebody
-  // listens on it, this fails with kTemporary. Paths longer than a socket address holds fail with
-  // kConfig.
+  // listens on it, this fails with kTemporary. Paths longer than a socket address holds, a group
+  // that does not exist and TCP without a token fail with kConfig.
   static Result<std::unique_ptr<ApiServer>> Listen(const ApiServerOptions& options,
                                                    ApiBackend& backend, EventHub& hub);
-  // Closes the socket, ends the streams (the hub must be closed), waits for running requests.
+  // Closes the sockets, ends the streams (the hub must be closed), waits for running requests.
   ~ApiServer();
   ApiServer(const ApiServer&) = delete;
   ApiServer& operator=(const ApiServer&) = delete;
+
+  ApiServerCounts counts() const;  // any thread
+  int tcp_port() const;            // 0 = no TCP
 
  private:
   class Impl;

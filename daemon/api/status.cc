@@ -44,6 +44,19 @@ class Metrics {
     Family(name, type, help);
     Sample(name, "", value);
   }
+  // Buckets, sum and count of one series of a histogram family.
+  void Histogram(std::string_view name, std::string_view labels, const LatencyCounts& counts) {
+    std::uint64_t below = 0;
+    for (std::size_t i = 0; i < counts.counts.size(); ++i) {
+      below += counts.counts[i];
+      const std::string bound =
+          i < LatencyCounts::kBounds.size() ? fmt::format("{}", LatencyCounts::kBounds[i]) : "+Inf";
+      fmt::format_to(std::back_inserter(text_), "{}_bucket{{{},le=\"{}\"}} {}\n", name, labels,
+                     bound, below);
+    }
+    fmt::format_to(std::back_inserter(text_), "{0}_sum{{{1}}} {2}\n{0}_count{{{1}}} {3}\n", name,
+                   labels, counts.sum_s, counts.total);
+  }
   std::string Take() { return std::move(text_); }
 
  private:
@@ -76,6 +89,8 @@ Json StatusToJson(const StatusReport& s) {
       {"session",
        {{"directory", Utf8(s.session_directory)},
         {"resumed", s.session_resumed},
+        {"first_frame", s.session_first_frame},
+        {"rotations", s.session_rotations},
         {"ended", s.session_ended}}},
       {"camera",
        {{"ready", s.camera_ready},
@@ -110,9 +125,31 @@ Json StatusToJson(const StatusReport& s) {
       {"odometer_m",
        s.odometer_m && std::isfinite(*s.odometer_m) ? Json(*s.odometer_m) : Json(nullptr)},
       {"heading_deg", OrNull(s.heading_deg)},
-      {"minutes_left", OrNull(s.minutes_left)},
+      {"minutes_left", OrNull(s.storage.minutes_left)},
+      {"storage",
+       {{"free_bytes", s.storage.free_bytes ? Json(*s.storage.free_bytes) : Json(nullptr)},
+        {"total_bytes", s.storage.total_bytes ? Json(*s.storage.total_bytes) : Json(nullptr)},
+        {"minutes_left", OrNull(s.storage.minutes_left)},
+        {"warning", Utf8(s.storage.warning)},
+        {"stop", Utf8(s.storage.stop)},
+        {"error", Utf8(s.storage.error)},
+        {"errors", s.storage_errors},
+        {"durability", ToString(s.durability)},
+        {"max_loss_s", s.max_loss_s},
+        {"unsynced_frames", s.unsynced_frames},
+        {"deleted", s.deleted}}},
       {"buffers", {{"free", s.buffers_free}, {"of", s.buffers}}},
   };
+  json["last_frame_age_s"] = OrNull(s.last_frame_age_s);
+  json["latency"] = Json::object();
+  for (std::size_t i = 0; i < s.latencies.size(); ++i) {
+    const LatencyCounts& counts = s.latencies[i];
+    const double mean = counts.total > 0 ? counts.sum_s / AsDouble(counts.total) : 0.0;
+    json["latency"][std::string(ToString(static_cast<CaptureLatency>(i)))] = {
+        {"count", counts.total}, {"mean_s", counts.total > 0 ? Json(mean) : Json(nullptr)}};
+  }
+  json["api"] = {{"requests", s.api_requests}, {"refused", Json::object()}};
+  for (const auto& [reason, count] : s.api_refused) json["api"]["refused"][reason] = count;
   json["config"] = {{"reloads", s.reloads},
                     {"reloads_refused", s.reloads_refused},
                     {"error", Utf8(s.reload_error)},
@@ -204,6 +241,25 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_views_reduced", "gauge", "Views on disk of reduced quality, to be upgraded.",
         AsDouble(s.views_reduced));
   m.One("omnihdr_buffers_free", "gauge", "Free frame buffers.", AsDouble(s.buffers_free));
+  m.Family("omnihdr_latency_seconds", "histogram",
+           "How long a stage took: edge_to_command, command_to_frame, frame_to_durable, "
+           "trigger_to_view.");
+  for (std::size_t i = 0; i < s.latencies.size(); ++i) {
+    m.Histogram("omnihdr_latency_seconds",
+                fmt::format("stage=\"{}\"", ToString(static_cast<CaptureLatency>(i))),
+                s.latencies[i]);
+  }
+  if (s.last_frame_age_s) {
+    m.One("omnihdr_last_frame_age_seconds", "gauge", "Since the newest frame came.",
+          *s.last_frame_age_s);
+  }
+  m.One("omnihdr_api_requests_total", "counter", "Requests to the API that were answered.",
+        AsDouble(s.api_requests));
+  m.Family("omnihdr_api_refused_total", "counter",
+           "Requests to the API that were refused before they were looked at, by reason.");
+  for (const auto& [reason, count] : s.api_refused) {
+    m.Sample("omnihdr_api_refused_total", fmt::format("reason=\"{}\"", reason), AsDouble(count));
+  }
   m.One("omnihdr_config_reloads_total", "counter",
         "Reloads of the configuration that were applied.", AsDouble(s.reloads));
   m.One("omnihdr_config_reloads_refused_total", "counter",
@@ -217,10 +273,31 @@ std::string StatusToMetrics(const StatusReport& s) {
           s.exposure.time.seconds());
   }
   if (s.odometer_m) m.One("omnihdr_odometer_metres", "gauge", "Way travelled.", *s.odometer_m);
-  if (s.minutes_left) {
+  if (s.storage.minutes_left) {
     m.One("omnihdr_storage_minutes_left", "gauge",
-          "Minutes until the storage is full at the present rate.", *s.minutes_left);
+          "Minutes until the storage is full at the present rate.", *s.storage.minutes_left);
   }
+  if (s.storage.free_bytes && s.storage.total_bytes) {
+    m.One("omnihdr_storage_free_bytes", "gauge", "Free space of the storage.",
+          AsDouble(*s.storage.free_bytes));
+    m.One("omnihdr_storage_size_bytes", "gauge", "Size of the storage.",
+          AsDouble(*s.storage.total_bytes));
+  }
+  m.One("omnihdr_storage_readable", "gauge", "1 when the free space of the storage can be read.",
+        s.storage.error.empty() ? 1.0 : 0.0);
+  m.One("omnihdr_storage_warning", "gauge", "1 when the storage is under a limit that warns.",
+        s.storage.warning.empty() ? 0.0 : 1.0);
+  m.One("omnihdr_storage_stop", "gauge",
+        "1 when the storage is under a limit at which no picture is stored.",
+        s.storage.stop.empty() ? 0.0 : 1.0);
+  m.One("omnihdr_storage_errors_total", "counter", "Writes and syncs of the storage that failed.",
+        AsDouble(s.storage_errors));
+  m.One("omnihdr_unsynced_frames", "gauge", "Frames that a power cut would cost.",
+        AsDouble(s.unsynced_frames));
+  m.One("omnihdr_session_rotations_total", "counter",
+        "How often the next session directory went on.", AsDouble(s.session_rotations));
+  m.One("omnihdr_retention_deleted_total", "counter",
+        "Sessions, or views of sessions, that retention deleted.", AsDouble(s.deleted));
   if (s.gnss) {
     m.One("omnihdr_gnss_fix", "gauge", "Quality of the GNSS fix, as NMEA GGA counts.",
           static_cast<double>(s.gnss->fix));
@@ -316,8 +393,26 @@ std::string StatusForPeople(const Json& s) {
     line("gnss", fmt::format("{:.6f}, {:.6f}, quality {}", gnss.value("lat", 0.0),
                              gnss.value("lon", 0.0), gnss.value("fix", 0)));
   }
-  if (const Json minutes = s.value("minutes_left", Json()); minutes.is_number()) {
-    line("storage", fmt::format("{:.0f} minutes left", minutes.get<double>()));
+  if (const Json storage = s.value("storage", Json()); storage.is_object()) {
+    std::string said;
+    const auto say = [&said](const std::string& what) {
+      if (!what.empty()) said += (said.empty() ? "" : ", ") + what;
+    };
+    if (const Json free = storage.value("free_bytes", Json()); free.is_number()) {
+      say(fmt::format("{:.1f} GB free", free.get<double>() * 1e-9));
+    }
+    if (const Json minutes = storage.value("minutes_left", Json()); minutes.is_number()) {
+      say(fmt::format("{:.0f} minutes left", minutes.get<double>()));
+    }
+    for (const char* problem : {"error", "stop", "warning"}) {
+      if (const std::string problem_text = storage.value(problem, ""); !problem_text.empty()) {
+        say(fmt::format("{}: {}", problem, problem_text));
+      }
+    }
+    if (const double loss = storage.value("max_loss_s", 0.0); loss > 0.0) {
+      say(fmt::format("a power cut costs at most the last {:g} s", loss));
+    }
+    line("storage", said);
   }
   for (const Json& link : s.value("links", Json::array())) {
     const std::string problem = link.value("problem", "");

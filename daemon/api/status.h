@@ -10,7 +10,10 @@
 #include "core/capture/appliance.h"
 #include "core/capture/capture_controller.h"
 #include "core/capture/capture_state.h"
+#include "core/capture/latency.h"
+#include "core/capture/storage_guard.h"
 #include "core/capture/trigger_ledger.h"
+#include "core/session/journal.h"
 
 namespace omnihdr {
 
@@ -20,9 +23,11 @@ struct StatusReport {
   double uptime_s = 0.0;
   StateReport state;
 
-  std::string session_directory;  // empty before there is a session
-  bool session_resumed = false;   // continued from an earlier run
-  bool session_ended = false;     // all views are finished; nothing can be added
+  std::string session_directory;          // empty before there is a session
+  bool session_resumed = false;           // continued from an earlier run
+  std::uint64_t session_first_frame = 0;  // counted through the series
+  std::uint64_t session_rotations = 0;    // this run: how often the next directory went on
+  bool session_ended = false;             // all views are finished; nothing can be added
 
   bool camera_ready = false;
   std::string camera_model;
@@ -57,9 +62,18 @@ struct StatusReport {
   std::optional<double> odometer_m;
   std::optional<double> heading_deg;
   std::optional<GnssFix> gnss;
-  std::optional<double> minutes_left;                     // until the storage is full
   std::vector<std::pair<std::string, LinkReport>> links;  // connections to the vehicle, by name
-  std::uint64_t reloads = 0;                              // of the configuration, this run
+  StorageReport storage;
+  Durability durability = Durability::kFrame;
+  double max_loss_s = 0.0;  // of what is journaled, in a power cut
+  std::uint64_t unsynced_frames = 0;
+  std::uint64_t storage_errors = 0;        // this run: writes and syncs that failed
+  std::uint64_t deleted = 0;               // this run: sessions, or views of sessions, by retention
+  CaptureLatencies latencies;              // this run
+  std::optional<double> last_frame_age_s;  // nothing before the first frame
+  std::uint64_t api_requests = 0;          // this run, answered
+  std::vector<std::pair<std::string, std::uint64_t>> api_refused;  // by reason
+  std::uint64_t reloads = 0;                                       // of the configuration, this run
   std::uint64_t reloads_refused = 0;
   std::string reload_error;                 // why the last one was refused; empty when it was not
   std::vector<std::string> restart_needed;  // keys whose value in the file is not in force

@@ -6,11 +6,13 @@
 #include <cstdio>
 #include <cstdlib>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 
 #include "daemon/api/client.h"
 #include "daemon/api/status.h"
+#include "daemon/api/token.h"
 #include "daemon/cli/command.h"
 #include "daemon/config.h"
 
@@ -22,6 +24,8 @@ using SteadyTime = std::chrono::steady_clock::time_point;
 
 struct ControlArguments {
   std::string socket;
+  std::string tcp;
+  std::string token_file;
   bool json = false;
   bool until_done = false;
   bool leave_open = false;
@@ -35,13 +39,31 @@ std::string DefaultSocket() {
                                                                   : DaemonConfig().api.socket;
 }
 
+// Where the daemon is asked: over TCP when that is given.
+Result<ApiEndpoint> Endpoint(const ControlArguments& arguments) {
+  ApiEndpoint endpoint;
+  endpoint.socket = arguments.socket;
+  if (arguments.tcp.empty()) return endpoint;
+  const std::optional<TcpEndpoint> tcp = ParseTcpEndpoint(arguments.tcp);
+  if (!tcp) {
+    return Fail(ErrorKind::kUsage,
+                "--tcp {}: expected a numeric address and a port, such as 127.0.0.1:8787",
+                arguments.tcp);
+  }
+  endpoint.address = tcp->address;
+  endpoint.port = tcp->port;
+  OMNIHDR_ASSIGN(endpoint.token, FindToken(arguments.token_file));
+  return endpoint;
+}
+
 void PrintLine(const std::string& text) {
   fmt::print("{}\n", text);
   std::fflush(stdout);
 }
 
 Result<int> ShowStatus(const ControlArguments& arguments) {
-  ApiClient client(arguments.socket);
+  OMNIHDR_ASSIGN(ApiEndpoint endpoint, Endpoint(arguments));
+  ApiClient client(std::move(endpoint));
   OMNIHDR_ASSIGN(const Json status, client.Get("/v1/status"));
   if (arguments.json) {
     PrintLine(status.dump(2));
@@ -54,7 +76,8 @@ Result<int> ShowStatus(const ControlArguments& arguments) {
 // POSTs and prints the answer, or `text` made from it for people.
 Result<int> Command(const ControlArguments& arguments, const std::string& route,
                     std::string (*text)(const Json& answer)) {
-  ApiClient client(arguments.socket);
+  OMNIHDR_ASSIGN(ApiEndpoint endpoint, Endpoint(arguments));
+  ApiClient client(std::move(endpoint));
   OMNIHDR_ASSIGN(const Json answer, client.Post(route));
   PrintLine(arguments.json ? answer.dump() : text(answer));
   return 0;
@@ -100,7 +123,8 @@ Result<int> WatchEvents(const ControlArguments& arguments) {
   const SteadyTime begin = std::chrono::steady_clock::now();
   bool done = false;
   bool expired = false;
-  ApiClient client(arguments.socket);
+  OMNIHDR_ASSIGN(ApiEndpoint endpoint, Endpoint(arguments));
+  ApiClient client(std::move(endpoint));
   OMNIHDR_TRY(client.Events([&](const std::string& line) {
     const Json event = Json::parse(line, nullptr, false);
     const std::string kind = event.is_object() ? event.value("event", "") : "";
@@ -124,7 +148,8 @@ Result<int> Watch(const ControlArguments& arguments) {
   if (arguments.json) return WatchEvents(arguments);
   const SteadyTime begin = std::chrono::steady_clock::now();
   Progress progress;
-  ApiClient client(arguments.socket);
+  OMNIHDR_ASSIGN(ApiEndpoint endpoint, Endpoint(arguments));
+  ApiClient client(std::move(endpoint));
   bool seen = false;
   while (true) {
     Result<Json> status = client.Get("/v1/status");
@@ -159,7 +184,8 @@ std::string ReloadText(const Json& answer) {
 
 Result<int> Stop(const ControlArguments& arguments) {
   const SteadyTime begin = std::chrono::steady_clock::now();
-  ApiClient client(arguments.socket);
+  OMNIHDR_ASSIGN(ApiEndpoint endpoint, Endpoint(arguments));
+  ApiClient client(std::move(endpoint));
   OMNIHDR_ASSIGN(const Json answer,
                  client.Post("/v1/stop", {{"leave_open", arguments.leave_open}}));
   Progress progress;
@@ -189,6 +215,10 @@ void AddControlCommands(CLI::App& app, CommandRun& run) {
         ->add_option("--socket", arguments->socket,
                      "the daemon's socket (also from the environment: OMNIHDR_SOCKET)")
         ->capture_default_str();
+    command->add_option("--tcp", arguments->tcp,
+                        "ask over TCP instead: the daemon's api.tcp, with its token");
+    command->add_option("--token-file", arguments->token_file,
+                        "file with the token for --tcp, readable by its owner alone");
     command->add_flag("--json", arguments->json, "answer in JSON");
     command->callback([arguments, function, &run] {
       run = [arguments, function] { return function(*arguments); };

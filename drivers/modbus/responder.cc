@@ -66,6 +66,11 @@ void Responder::Show(const ApplianceStatus& s) {
   put32(kRegViewsWaiting, s.views_waiting);
   registers_[kRegMinutesLeft] =
       s.minutes_left && std::isfinite(*s.minutes_left) ? Clamp16(*s.minutes_left) : 0xFFFF;
+  registers_[kRegStorageLevel] = static_cast<std::uint16_t>(s.storage_level);
+  put32(kRegStorageFreeMb,
+        s.storage_free_bytes
+            ? std::min<std::uint64_t>(*s.storage_free_bytes / 1'000'000, 0xFFFFFFFEU)
+            : 0xFFFFFFFFU);
   registers_[kRegQualityLevel] = Clamp16(s.quality_level);
   std::uint32_t odometer = 0x80000000U;
   if (s.odometer_m && std::isfinite(*s.odometer_m)) {

@@ -38,6 +38,8 @@ enum StatusRegister {
   kRegOdometer = 16,      // millimetres, signed; -2^31 = not known
   kRegCommandCount = 18,
   kRegCommandResult = 20,  // 16 bits
+  kRegStorageLevel = 21,   // 16 bits; 0 enough, 1 warning, 2 stop, 3 unreadable
+  kRegStorageFreeMb = 22,  // 2^32 - 1 = not known
   kRegLastFault = 32,      // 32 registers of two ASCII characters each, 0 = end
 };
 enum DiscreteInput {

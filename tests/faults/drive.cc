@@ -66,7 +66,8 @@ RecordedDrive::RecordedDrive(int positions, const std::string& trigger)
       "[camera]\ndriver = \"replay\"\nreconnect_s = 0.2\n"
       "[camera.replay]\nsession = \"source\"\n"
       "[trigger]\nsource = \"{}\"\narmed_at_start = true\n"
-      "[stereo]\nwidth = 256\nlabels = 32\n",
+      "[stereo]\nwidth = 256\nlabels = 32\n"
+      "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n",
       trigger);
 }
 

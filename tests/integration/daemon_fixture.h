@@ -25,6 +25,10 @@ namespace fs = std::filesystem;
 // Small pictures and a coarse search: the whole chain in a fraction of a second a view.
 inline constexpr const char* kSmallPipeline = "[stereo]\nwidth = 256\nlabels = 32\n";
 
+// Tests run where there is room, and whoever else fills the disk must not change the state.
+inline constexpr const char* kAnyStorage =
+    "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n";
+
 class DaemonFixture : public ::testing::Test {
  protected:
   fs::path directory() const { return directory_.path(); }
@@ -34,8 +38,8 @@ class DaemonFixture : public ::testing::Test {
   void WriteConfig(const std::string& camera_and_trigger, const std::string& more = "") {
     std::ofstream(directory() / "c.toml") << fmt::format(
         "[session]\ndirectory = \"sessions\"\nname = \"s\"\n"
-        "[api]\nsocket = \"api.sock\"\n{}\n{}\n{}\n",
-        camera_and_trigger, kSmallPipeline, more);
+        "[api]\nsocket = \"api.sock\"\n{}\n{}\n{}\n{}\n",
+        camera_and_trigger, kSmallPipeline, kAnyStorage, more);
   }
   static std::string SimCamera(int width = 256) {
     return fmt::format(

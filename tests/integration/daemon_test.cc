@@ -162,8 +162,8 @@ TEST_F(Daemon, ASecondDaemonIsRefused) {
   EXPECT_EQ(Start({"--session", "other"})->Wait(), 75);
   std::ofstream(directory() / "d.toml") << fmt::format(
       "[session]\ndirectory = \"sessions\"\nname = \"s\"\n"
-      "[api]\nsocket = \"other.sock\"\n{}",
-      SimCamera());
+      "[api]\nsocket = \"other.sock\"\n{}{}",
+      SimCamera(), integration::kAnyStorage);
   Program second("omnihdrd", {"--config", (directory() / "d.toml").string()}, directory() / "log2");
   EXPECT_EQ(second.Wait(), 75);
   EXPECT_THAT(second.Log(), HasSubstr("another process is writing this session"));
@@ -392,8 +392,8 @@ TEST_F(Daemon, AnExistingSessionIsRefusedWhenSoConfigured) {
   }
   std::ofstream(directory() / "c.toml") << fmt::format(
       "[session]\ndirectory = \"sessions\"\nname = \"s\"\non_existing = \"refuse\"\n"
-      "[api]\nsocket = \"api.sock\"\n{}",
-      SimCamera());
+      "[api]\nsocket = \"api.sock\"\n{}{}",
+      SimCamera(), integration::kAnyStorage);
   EXPECT_EQ(Start()->Wait(), 73);
 }
 

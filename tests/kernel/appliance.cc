@@ -18,6 +18,7 @@ constexpr int kModbusPort = 1502;
 void ApplianceTest::Launch(const Setup& setup) {
   std::ofstream(path("c.toml")) << fmt::format(
       "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
+      "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n"
       "[camera]\nreconnect_s = 0.2\nframe_timeout_s = 20.0\n{}\n[bracket]\n{}\n"
       "[trigger]\narmed_at_start = true\n{}\n"
       "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n"

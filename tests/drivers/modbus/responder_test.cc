@@ -27,6 +27,8 @@ ApplianceStatus Driving() {
   status.uptime_s = 70000.0;
   status.triggers = 0x12345678;
   status.minutes_left = 95.7;
+  status.storage_level = StorageLevel::kWarning;
+  status.storage_free_bytes = 0x1'0001ULL * 1'000'000 + 7;
   status.odometer_m = -1.5;
   status.last_fault = "disk é full";
   return status;
@@ -52,6 +54,8 @@ TEST(ModbusResponder, TheStatusStandsInTheDocumentedRegistersOfBothTables) {
                             0x56, 0x78));
     EXPECT_THAT(Ask(responder, {function, 0, 14, 0, 4}),
                 ElementsAre(function, 8, 0, 95, 0, 0, 0xFF, 0xFF, 0xFA, 0x24));
+    EXPECT_THAT(Ask(responder, {function, 0, 21, 0, 3}),
+                ElementsAre(function, 6, 0, 1, 0, 1, 0, 1));
     EXPECT_THAT(
         Ask(responder, {function, 0, 32, 0, 6}),
         ElementsAre(function, 12, 'd', 'i', 's', 'k', ' ', '?', '?', ' ', 'f', 'u', 'l', 'l'));

@@ -29,7 +29,8 @@ class CameraDaemon : public ::testing::Test {
         << "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
            "[camera]\ndriver = \"iidc\"\nreconnect_s = 0.2\n[camera.iidc]\nrig = \"head.toml\"\n"
            "[bracket]\nexposures_s = [0.001, 0.004, 0.016]\n"
-           "[trigger]\nsource = \"software\"\narmed_at_start = true\n[pipeline]\nenabled = false\n";
+           "[trigger]\nsource = \"software\"\narmed_at_start = true\n[pipeline]\nenabled = false\n"
+           "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n";
   }
   std::filesystem::path path(const std::string& name) const { return directory_.path() / name; }
   std::unique_ptr<Program> Start() const {

@@ -183,7 +183,7 @@ TEST_F(Server, ServerSentEventsAreFramedAsSuch) {
   const std::string answer =
       Raw("GET /v1/events HTTP/1.1\r\nAccept: text/event-stream\r\n\r\n", false);
   EXPECT_THAT(answer, HasSubstr("Content-Type: text/event-stream"));
-  EXPECT_THAT(answer, HasSubstr("data: {\"armed\""));
+  EXPECT_THAT(answer, HasSubstr("data: {\"api\""));
   EXPECT_THAT(answer, HasSubstr("data: {\"event\":\"frame\",\"frame\":1}\n\n"));
 }
 

@@ -3,6 +3,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fstream>
+#include <set>
+#include <sstream>
+#include <string>
+
 namespace omnihdr::status_test {
 namespace {
 
@@ -64,7 +69,12 @@ TEST(Status, WhatTheCamerasDriverCountsIsToldByName) {
 
 TEST(Status, TheVehiclesConnectionsPlaceAndStorageAreTold) {
   StatusReport s = Busy();
-  s.minutes_left = 95.5;
+  s.storage.minutes_left = 95.5;
+  s.storage.free_bytes = 12'300'000'000;
+  s.storage.total_bytes = 100'000'000'000;
+  s.storage.warning = "12300 MB are free, storage.warn_free_mb is 20000";
+  s.durability = Durability::kInterval;
+  s.max_loss_s = 2.0;
   s.heading_deg = 271.5;
   s.gnss.emplace();
   s.gnss->lat_deg = 52.5;
@@ -85,9 +95,88 @@ TEST(Status, TheVehiclesConnectionsPlaceAndStorageAreTold) {
   EXPECT_THAT(metrics, HasSubstr("omnihdr_link_up{link=\"modbus vehicle\"} 0"));
   EXPECT_THAT(metrics, HasSubstr("omnihdr_link_errors_total{link=\"modbus vehicle\"} 7"));
   EXPECT_THAT(metrics, HasSubstr("omnihdr_storage_minutes_left 95.5"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_storage_free_bytes 12300000000"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_storage_warning 1"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_storage_readable 1"));
+  EXPECT_EQ(json["storage"]["durability"], "interval");
+  EXPECT_EQ(json["storage"]["max_loss_s"], 2.0);
   const std::string people = StatusForPeople(json);
   EXPECT_THAT(people, HasSubstr("modbus vehicle: no answer within 200 ms"));
-  EXPECT_THAT(people, HasSubstr("96 minutes left"));
+  EXPECT_THAT(people, HasSubstr("12.3 GB free, 96 minutes left, warning: 12300 MB are free"));
+  EXPECT_THAT(people, HasSubstr("a power cut costs at most the last 2 s"));
+  // What cannot be read is not told as if it could.
+  s.storage = {};
+  s.storage.error = "/data: free space: Input/output error";
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_storage_readable 0"));
+  EXPECT_THAT(StatusToMetrics(s), Not(HasSubstr("omnihdr_storage_free_bytes")));
+  EXPECT_TRUE(StatusToJson(s)["storage"]["free_bytes"].is_null());
+}
+
+TEST(Status, EachStagesLatencyIsAHistogramThatPrometheusReads) {
+  StatusReport s = Busy();
+  LatencyCounts& frame = s.latencies[static_cast<std::size_t>(CaptureLatency::kCommandToFrame)];
+  frame.Add(std::chrono::milliseconds(3));
+  frame.Add(std::chrono::milliseconds(30));
+  frame.Add(std::chrono::hours(1));
+  s.last_frame_age_s = 1.5;
+  const std::string metrics = StatusToMetrics(s);
+  const std::string name = "omnihdr_latency_seconds_bucket{stage=\"command_to_frame\",le=";
+  EXPECT_THAT(metrics, HasSubstr("# TYPE omnihdr_latency_seconds histogram\n"));
+  EXPECT_THAT(metrics, HasSubstr(name + "\"0.0025\"} 0\n"));
+  EXPECT_THAT(metrics, HasSubstr(name + "\"0.005\"} 1\n"));
+  EXPECT_THAT(metrics, HasSubstr(name + "\"0.05\"} 2\n"));
+  EXPECT_THAT(metrics, HasSubstr(name + "\"600\"} 2\n"));
+  EXPECT_THAT(metrics, HasSubstr(name + "\"+Inf\"} 3\n"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_latency_seconds_count{stage=\"command_to_frame\"} 3\n"));
+  EXPECT_THAT(metrics,
+              HasSubstr("omnihdr_latency_seconds_sum{stage=\"command_to_frame\"} 3600.033"));
+  EXPECT_THAT(metrics, HasSubstr("omnihdr_last_frame_age_seconds 1.5\n"));
+  EXPECT_EQ(StatusToJson(s)["latency"]["command_to_frame"]["count"], 3);
+  EXPECT_TRUE(StatusToJson(s)["latency"]["trigger_to_view"]["mean_s"].is_null());
+}
+
+TEST(Status, EveryMetricHasHelpAndTypeOnceAndStandsInTheList) {
+  StatusReport s = Busy();
+  s.storage.minutes_left = 1.0;
+  s.storage.free_bytes = 1;
+  s.storage.total_bytes = 1;
+  s.last_frame_age_s = 1.0;
+  s.gnss.emplace();
+  s.links.emplace_back("gpsd", LinkReport{});
+  std::istringstream lines(StatusToMetrics(s));
+  std::set<std::string> helped;
+  std::set<std::string> typed;
+  for (std::string line; std::getline(lines, line);) {
+    std::istringstream words(line);
+    std::string first;
+    std::string second;
+    std::string third;
+    words >> first >> second >> third;
+    if (first != "#") {
+      std::string family = first.substr(0, first.find('{'));
+      for (const char* suffix : {"_bucket", "_sum", "_count"}) {
+        const std::string::size_type at = family.rfind(suffix);
+        if (at != std::string::npos && typed.count(family.substr(0, at)) > 0) {
+          family.resize(at);
+          break;
+        }
+      }
+      EXPECT_TRUE(typed.count(family) > 0) << line;
+    } else if (second == "HELP") {
+      EXPECT_TRUE(helped.insert(third).second) << line;
+    } else {
+      EXPECT_TRUE(typed.insert(third).second) << line;
+    }
+  }
+  EXPECT_EQ(helped, typed);
+  // The list: a table with a row for each.
+  std::ifstream file(std::string(OMNIHDR_SOURCE_DIR) + "/daemon/api/README.md");
+  std::set<std::string> listed;
+  for (std::string line; std::getline(file, line);) {
+    if (!line.starts_with("| `omnihdr_")) continue;
+    listed.insert(line.substr(3, line.find('`', 3) - 3));
+  }
+  EXPECT_EQ(listed, typed);
 }
 
 TEST(Status, MissedTriggersAreToldWithTheirReason) {

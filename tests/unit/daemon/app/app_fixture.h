@@ -54,6 +54,7 @@ class FakeCamera final : public Camera {
     return {};
   }
   Result<CameraFrame> Receive(Nanoseconds timeout) override {
+    while (stuck) std::this_thread::sleep_for(milliseconds(5));
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, timeout,
                       [this] { return !present_ || (answering_ && !requests_.empty()); });
@@ -90,6 +91,8 @@ class FakeCamera final : public Camera {
     changed_.notify_all();
   }
   void SetLongest(ExposureTime longest) { longest_ = longest; }
+
+  std::atomic<bool> stuck = false;  // as in a call of a driver that does not come back
 
  private:
   std::mutex mutex_;
@@ -160,6 +163,7 @@ class FakeVehicle final : public VehicleLink,
     return {};
   }
   LinkReport report() const override {
+    while (stuck) std::this_thread::sleep_for(milliseconds(5));
     std::lock_guard lock(mutex_);
     return report_;
   }
@@ -191,6 +195,7 @@ class FakeVehicle final : public VehicleLink,
 
   std::atomic<bool> started = false;
   std::atomic<int> pulses = 0;
+  std::atomic<bool> stuck = false;
 
  private:
   mutable std::mutex mutex_;
@@ -201,14 +206,19 @@ class FakeVehicle final : public VehicleLink,
 // Writes no pictures, but keeps the law: a view is complete two positions later, or at Finish.
 class FakeProcessor final : public SessionProcessor {
  public:
-  FakeProcessor(const std::filesystem::path& session, std::atomic<bool>& failing)
-      : follower_(session), failing_(failing) {}
+  FakeProcessor(const std::filesystem::path& session, std::atomic<bool>& failing,
+                std::atomic<bool>& stuck, ProcessorCallbacks callbacks)
+      : follower_(session), failing_(failing), stuck_(stuck), callbacks_(std::move(callbacks)) {}
   Result<Progress> Step() override {
+    while (stuck_) std::this_thread::sleep_for(milliseconds(5));
     if (failing_) return Fail(ErrorKind::kIo, "views: No space left on device");
     OMNIHDR_ASSIGN(const std::vector<FrameRecord> records, follower_.ReadNew());
     for (const FrameRecord& record : records) {
       if (record.status == FrameStatus::kOk) {
         ++counts_.positions_seen;
+        ViewDone view;
+        view.position = record.position;
+        if (callbacks_.view_done) callbacks_.view_done(view);
       } else {
         ++counts_.positions_without_pixels;
       }
@@ -225,6 +235,8 @@ class FakeProcessor final : public SessionProcessor {
  private:
   JournalFollower follower_;
   std::atomic<bool>& failing_;
+  std::atomic<bool>& stuck_;
+  const ProcessorCallbacks callbacks_;
   Counts counts_;
 };
 
@@ -238,6 +250,9 @@ class AppFixture : public ::testing::Test {
     config_.camera.frame_timeout_s = 0.2;
     config_.camera.reconnect_s = 0.1;
     config_.trigger.armed_at_start = true;
+    config_.storage.allow_root = true;
+    // Whoever else fills this machine's disk must not change the state.
+    config_.storage.limits = {0.0, 0.0, 0.0, 0.0};
   }
   ~AppFixture() override { EXPECT_TRUE(Join(true)); }
 
@@ -261,10 +276,12 @@ class AppFixture : public ::testing::Test {
             parts.strobe = vehicle_;
             parts.place = vehicle_;
           }
-          parts.open_pipeline = [this](const std::filesystem::path& session, ProcessorCallbacks) {
-            return Result<std::unique_ptr<SessionProcessor>>(
-                std::make_unique<FakeProcessor>(session, views_fail_));
+          parts.open_pipeline = [this](const std::filesystem::path& session,
+                                       ProcessorCallbacks callbacks) {
+            return Result<std::unique_ptr<SessionProcessor>>(std::make_unique<FakeProcessor>(
+                session, views_fail_, views_stuck_, std::move(callbacks)));
           };
+          parts.patience = patience_;
           return parts;
         },
         read_config_);
@@ -321,6 +338,8 @@ class AppFixture : public ::testing::Test {
   DaemonConfig config_;
   std::shared_ptr<FakeCamera> camera_ = std::make_shared<FakeCamera>();
   std::atomic<bool> views_fail_ = false;
+  std::atomic<bool> views_stuck_ = false;
+  StagePatience patience_;
   std::uint64_t first_trigger_ = 0;
   std::optional<double> last_odometer_m_;
   CommandHandler command_;

@@ -66,6 +66,8 @@ TEST(AppVehicle, ADriveByTheVehiclesOdometerIsCommandedByModbusAndJournaledWithI
   DaemonConfig config;
   config.session.directory = directory.path().string();
   config.session.name = "s";
+  config.storage.allow_root = true;
+  config.storage.limits = {0.0, 0.0, 0.0, 0.0};
   config.api.socket = (directory.path() / "api.sock").string();
   config.camera.sim.width = 128;
   config.pipeline.enabled = false;

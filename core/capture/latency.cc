@@ -1,0 +1,75 @@
+#include "core/capture/latency.h"
+
+#include <algorithm>
+
+namespace omnihdr {
+
+std::string_view ToString(CaptureLatency latency) {
+  switch (latency) {
+    case CaptureLatency::kEdgeToCommand:
+      return "edge_to_command";
+    case CaptureLatency::kCommandToFrame:
+      return "command_to_frame";
+    case CaptureLatency::kFrameToDurable:
+      return "frame_to_durable";
+    case CaptureLatency::kTriggerToView:
+      return "trigger_to_view";
+  }
+  return "?";
+}
+
+void LatencyCounts::Add(Nanoseconds duration) {
+  const double seconds = std::max(0.0, static_cast<double>(duration.count()) * 1e-9);
+  const auto bound = std::lower_bound(kBounds.begin(), kBounds.end(), seconds);
+  ++counts[static_cast<std::size_t>(bound - kBounds.begin())];
+  sum_s += seconds;
+  ++total;
+}
+
+void LatencyTracker::Commanded(TriggerId trigger, HostTime edge, HostTime now) {
+  std::lock_guard lock(mutex_);
+  Of(CaptureLatency::kEdgeToCommand).Add(now - edge);
+  triggers_[Value(trigger)] = {edge, now, std::nullopt};
+  if (triggers_.size() > kMaxTriggers) triggers_.erase(triggers_.begin());
+}
+
+void LatencyTracker::FrameArrived(TriggerId trigger, HostTime now) {
+  std::lock_guard lock(mutex_);
+  last_frame_ = now;
+  const auto found = triggers_.find(Value(trigger));
+  if (found == triggers_.end() || found->second.arrived) return;
+  found->second.arrived = now;
+  Of(CaptureLatency::kCommandToFrame).Add(now - found->second.commanded);
+}
+
+void LatencyTracker::Durable(TriggerId trigger, PositionId position, bool usable, HostTime now) {
+  std::lock_guard lock(mutex_);
+  const auto found = triggers_.find(Value(trigger));
+  if (found == triggers_.end()) return;
+  const Times times = found->second;
+  triggers_.erase(found);
+  if (!usable) return;
+  if (times.arrived) Of(CaptureLatency::kFrameToDurable).Add(now - *times.arrived);
+  positions_.try_emplace(Value(position), times.edge);
+  if (positions_.size() > kMaxPositions) positions_.erase(positions_.begin());
+}
+
+void LatencyTracker::ViewDone(PositionId position, HostTime now) {
+  std::lock_guard lock(mutex_);
+  const auto found = positions_.find(Value(position));
+  if (found == positions_.end()) return;
+  Of(CaptureLatency::kTriggerToView).Add(now - found->second);
+  positions_.erase(found);
+}
+
+CaptureLatencies LatencyTracker::counts() const {
+  std::lock_guard lock(mutex_);
+  return counts_;
+}
+
+std::optional<HostTime> LatencyTracker::last_frame() const {
+  std::lock_guard lock(mutex_);
+  return last_frame_;
+}
+
+}  // namespace omnihdr
