@@ -36,12 +36,17 @@ RecorderOptions MakeRecorderOptions(const RecorderConfig& config) {
 
 }  // namespace
 
-BracketOptions MakeBracketOptions(const BracketConfig& config) {
+BracketOptions MakeBracketOptions(const BracketConfig& bracket, bool burst) {
   BracketOptions options;
-  options.order = config.order;
-  options.exposures = config.Exposures();
-  options.gain = GainDb{config.gain_db};
-  options.frames_per_position = config.frames_per_position;
+  options.order = bracket.order;
+  options.exposures = bracket.Exposures();
+  options.gain = GainDb{bracket.gain_db};
+  options.frames_per_position =
+      burst ? static_cast<int>(options.exposures.size()) : bracket.frames_per_position;
+  options.flicker_hz = bracket.flicker_hz;
+  options.max_blur_px = bracket.max_blur_px;
+  options.speed_m_s = bracket.speed_m_s;
+  options.near_m = bracket.near_m;
   return options;
 }
 
@@ -161,10 +166,13 @@ Status App::ResumeSession() {
 // Before there is a camera, so that triggers are numbered and get their lines from the first one
 // on; without a session the lines wait in the recorder.
 Status App::MakeController() {
-  OMNIHDR_ASSIGN(BracketPlan plan, BracketPlan::Make(MakeBracketOptions(config_.bracket), {}));
+  OMNIHDR_ASSIGN(BracketPlan plan,
+                 BracketPlan::Make(MakeBracketOptions(config_.bracket, config_.trigger.burst), {}));
   CaptureOptions options;
   options.frame_timeout = Nanoseconds(std::llround(config_.camera.frame_timeout_s * 1e9));
   options.tolerance.relative = config_.camera.exposure_tolerance;
+  options.retake = config_.bracket.retake;
+  options.burst = config_.trigger.burst;
   controller_ = std::make_unique<CaptureController>(
       std::move(plan), session_ ? session_->info.camera : CameraDescription{}, options,
       TriggerId{journaled_}, recorder_,
@@ -180,6 +188,7 @@ Status App::StartLoop() {
   OMNIHDR_ASSIGN(trigger_timer_, loop_->AddTimer([this] { OnTriggersReady(); }));
   OMNIHDR_ASSIGN(capture_timer_, loop_->AddTimer([this] {
     controller_->OnTime();
+    CheckFrameless();
     ScheduleCaptureTimer();
   }));
   OMNIHDR_ASSIGN(drain_timer_, loop_->AddTimer([this] { CheckDrained(); }));
@@ -215,6 +224,9 @@ void App::StartStages() {
                                latency_.FrameArrived(frame.trigger, clock_.Now());
                                controller_->OnFrame(std::move(frame));
                                PrepareNext();
+                               // The next one of a burst has a deadline of its own.
+                               if (config_.trigger.burst)
+                                 PostOrLog([this] { ScheduleCaptureTimer(); });
                              },
                          .away = [this](const Error& error) { OnCameraAway(error); }},
       clock_);
@@ -230,9 +242,7 @@ void App::StartStages() {
   }
 }
 
-void App::PrepareNext() {
-  parts_.camera->Prepare(controller_->plan().ForTrigger(controller_->next_trigger()));
-}
+void App::PrepareNext() { parts_.camera->Prepare(controller_->upcoming().exposure); }
 
 void App::StartSessionStages() {
   {

@@ -82,7 +82,8 @@ struct PartsContext {
 using MakeParts = std::function<Result<AppParts>(const PartsContext&)>;
 
 // The bracket a configuration asks for.
-BracketOptions MakeBracketOptions(const BracketConfig& config);
+// `burst`: as trigger.burst, a whole bracket at a position.
+BracketOptions MakeBracketOptions(const BracketConfig& bracket, bool burst);
 
 // The daemon. Everything is built in order by Run and torn down in reverse; data flow one way:
 //   trigger (main loop) -> controller -> camera (own thread) -> recorder (own thread) -> journal on
@@ -188,6 +189,7 @@ class App final : public ApiBackend {
   void OnSessionEnded();
   void OnStateChanged(const StateReport& report);
   void ScheduleCaptureTimer();
+  void CheckFrameless();
   StatusReport BuildStatus() const;
   ApiReply OnLoop(std::function<ApiReply()> function);
   ApiReply ArmNow();
@@ -259,6 +261,7 @@ class App final : public ApiBackend {
   std::deque<std::filesystem::path> views_queue_;
   std::uint64_t rotations_ = 0;
   std::optional<SessionInfo> camera_session_;  // what a session of the open camera is begun with
+  std::vector<std::string> bracket_changes_;
 
   // Held while a bracket is checked against the camera and put in force.
   std::mutex plan_mutex_;
@@ -291,6 +294,7 @@ class App final : public ApiBackend {
   Nanoseconds supervise_interval_ = std::chrono::seconds(1);
   std::atomic<bool> stopping_ = false;
   std::optional<double> last_odometer_m_;  // of the session that is continued
+  std::uint64_t rearmed_ = 0;
   std::string last_fault_;
   struct LinkLog {
     std::string problem;  // as last logged

@@ -50,8 +50,20 @@ void App::ScheduleCaptureTimer() {
   }
 }
 
+// Edges but no frames: the camera is opened anew.
+void App::CheckFrameless() {
+  const auto most = static_cast<std::uint64_t>(config_.trigger.rearm_after);
+  const std::uint64_t frameless = controller_->frameless();
+  if (most > 0 && frameless >= most &&
+      runner_->Rearm(fmt::format("{} triggers in a row gave no frame: opened anew", frameless))) {
+    ++rearmed_;
+    hub_.Publish({{"event", "camera"}, {"what", "rearmed"}, {"triggers", frameless}});
+  }
+}
+
 Result<AcceptedTrigger> App::HandleTrigger(const TriggerEvent& event) {
   Result<AcceptedTrigger> accepted = controller_->OnTrigger(event);
+  CheckFrameless();
   ScheduleCaptureTimer();
   if (!accepted) {
     // Without a session it is not the storage that keeps the lines waiting.
@@ -216,9 +228,12 @@ void App::StopNow(const std::string& reason) {
   });
   // Every frame on its way has a deadline of its own; the rest is for the disk.
   double longest_s = config_.camera.frame_timeout_s;
+  double burst_s = 0.0;
   for (const ExposureTime exposure : config_.bracket.Exposures()) {
     longest_s = std::max(longest_s, config_.camera.frame_timeout_s + exposure.seconds());
+    burst_s += config_.camera.frame_timeout_s + exposure.seconds();
   }
+  if (config_.trigger.burst) longest_s = std::max(longest_s, burst_s);
   stop_deadline_ =
       clock_.Now() + Nanoseconds(std::llround(longest_s * 1e9)) + Nanoseconds(seconds(5));
   CheckDrained();
@@ -309,6 +324,7 @@ StatusReport App::BuildStatus() const {
     }
     s.camera_model = camera_model_;
     s.camera_serial = camera_serial_;
+    s.bracket_changes = bracket_changes_;
     s.lines = lines_;
     s.triggers = journaled_;
     s.session_rotations = rotations_;
@@ -337,16 +353,17 @@ StatusReport App::BuildStatus() const {
   s.capture = controller_->counts();
   if (controller_->camera_known()) {
     const BracketPlan plan = controller_->plan();
-    s.bracket_step = plan.StepForTrigger(next);
+    const CaptureController::Upcoming upcoming = controller_->upcoming();
+    s.bracket_step = upcoming.step;
     s.bracket_steps = static_cast<int>(plan.exposures().size());
     s.bracket_order = std::string(ToString(plan.order()));
-    s.exposure = plan.ForTrigger(next);
+    s.exposure = upcoming.exposure;
   }
   if (s.triggers > 0) {
+    const int frames =
+        MakeBracketOptions(config_.bracket, config_.trigger.burst).frames_per_position;
     s.positions_triggered =
-        static_cast<std::int64_t>((s.triggers - 1) /
-                                  static_cast<std::uint64_t>(config_.bracket.frames_per_position)) +
-        1;
+        static_cast<std::int64_t>((s.triggers - 1) / static_cast<std::uint64_t>(frames)) + 1;
   }
   s.unsynced_frames = unsynced_;
   s.storage_errors = storage_errors_;
@@ -363,6 +380,7 @@ StatusReport App::BuildStatus() const {
   s.reloads_refused = reloads_refused_;
   s.reload_error = reload_error_;
   s.restart_needed = restart_needed_;
+  s.camera_rearmed = rearmed_;
   const HostTime now = clock_.Now();
   s.latencies = latency_.counts();
   if (const auto frame = latency_.last_frame()) {

@@ -130,8 +130,18 @@ ApiReply App::ApplyConfig(const Result<DaemonConfig>& next) {
 Status App::ChangeBracket(const BracketConfig& bracket) {
   const std::unique_lock lock(plan_mutex_, std::try_to_lock);
   if (!lock) return Fail(ErrorKind::kTemporary, "the camera is being opened: try again");
-  OMNIHDR_ASSIGN(BracketPlan plan,
-                 BracketPlan::Make(MakeBracketOptions(bracket), exposure_limits_));
+  if (config_.trigger.burst && bracket.order == BracketOrder::kTriangle) {
+    return Fail(ErrorKind::kConfig,
+                "bracket.order: \"triangle\", expected \"sawtooth\" or \"list\" "
+                "as long as trigger.burst is in force");
+  }
+  OMNIHDR_ASSIGN(
+      BracketPlan plan,
+      BracketPlan::Make(MakeBracketOptions(bracket, config_.trigger.burst), exposure_limits_));
+  {
+    std::lock_guard changes_lock(mutex_);
+    bracket_changes_ = plan.changes();
+  }
   return controller_->SetPlan(std::move(plan));
 }
 

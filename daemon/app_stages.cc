@@ -82,8 +82,14 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     std::lock_guard lock(mutex_);
     bracket = config_.bracket;
   }
-  Result<BracketPlan> plan = BracketPlan::Make(MakeBracketOptions(bracket), limits);
+  limits.pixel_rad = PixelAngle(info.description, info.files);
+  Result<BracketPlan> plan =
+      BracketPlan::Make(MakeBracketOptions(bracket, config_.trigger.burst), limits);
   if (!plan) return fault(plan.error());
+  for (const std::string& change : plan->changes()) spdlog::warn("bracket: {}", change);
+  if (bracket.max_blur_px > 0.0 && limits.pixel_rad <= 0.0) {
+    spdlog::warn("bracket: max_blur_px: how large a pixel is cannot be told: not checked");
+  }
   exposure_limits_ = limits;
 
   SessionInfo session_info;
@@ -132,6 +138,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     std::lock_guard lock(mutex_);
     camera_model_ = info.description.model;
     camera_serial_ = info.description.serial;
+    bracket_changes_ = plan->changes();
   }
   ExposureTolerance tolerance;
   tolerance.relative = config_.camera.exposure_tolerance;

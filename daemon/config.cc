@@ -172,6 +172,21 @@ class Loader {
                           TomlText(config.api.tcp)));
     }
     const BracketConfig& bracket = config.bracket;
+    if (bracket.max_blur_px > 0.0 && bracket.speed_m_s <= 0.0) {
+      Problem(line_of("bracket.max_blur_px"), "bracket.speed_m_s",
+              "0, expected the speed that is driven with bracket.max_blur_px");
+    }
+    const int steps = static_cast<int>(bracket.Exposures().size());
+    if (config.trigger.burst && bracket.frames_per_position != 1 &&
+        bracket.frames_per_position != steps) {
+      Problem(line_of("bracket.frames_per_position"), "bracket.frames_per_position",
+              fmt::format("{}, expected 1 or the {} exposures of the bracket with trigger.burst",
+                          bracket.frames_per_position, steps));
+    }
+    if (config.trigger.burst && bracket.order == BracketOrder::kTriangle) {
+      Problem(line_of("trigger.burst"), "bracket.order",
+              "\"triangle\", expected \"sawtooth\" or \"list\" with trigger.burst");
+    }
     if (bracket.start_s > 0.0) {
       const double longest = bracket.Exposures().back().seconds();
       if (!(longest <= 100.0)) {

@@ -146,6 +146,11 @@ struct BracketConfig {
   int count = 3;
   double gain_db = 0.0;
   int frames_per_position = 1;
+  int flicker_hz = 0;        // mains that lamps flicker by: 50, 60, or 0 = none
+  double max_blur_px = 0.0;  // of what is near_m away at speed_m_s; 0 = any
+  double speed_m_s = 0.0;
+  double near_m = 5.0;
+  int retake = 1;  // how often a step that was not proved is taken again
   // The exposures in force, in the order configured. Never empty in a loaded configuration.
   std::vector<ExposureTime> Exposures() const;
 };
@@ -158,6 +163,8 @@ struct TriggerConfig {
   OdometerKind odometer = OdometerKind::kSim;  // whose metres are journaled and whose marks trigger
   std::uint64_t limit = 0;                     // triggers after which the source disarms; 0 = none
   bool armed_at_start = false;
+  bool burst = false;   // a whole bracket at each trigger, at one position
+  int rearm_after = 8;  // triggers without a frame after which the camera is opened anew; 0 = never
 };
 
 // [gpio.trigger] and [gpio.wheel] in `inputs`, [gpio.outputs]

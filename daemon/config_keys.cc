@@ -119,6 +119,19 @@ ConfigKey TriggerMode() {
           }};
 }
 
+ConfigKey FlickerHz() {
+  return {"bracket.flicker_hz", "0, 50 or 60",
+          [](DaemonConfig& config, const TomlValue& value, const fs::path&) {
+            if (value.type != TomlValue::Type::kInteger ||
+                (value.integer != 0 && value.integer != 50 && value.integer != 60)) {
+              return false;
+            }
+            config.bracket.flicker_hz = static_cast<int>(value.integer);
+            return true;
+          },
+          [](const DaemonConfig& config) { return fmt::format("{}", config.bracket.flicker_hz); }};
+}
+
 ConfigKey Exposures() {
   constexpr std::size_t kMaxSteps = 64;
   return {
@@ -371,6 +384,12 @@ std::vector<ConfigKey> MakeKeys() {
   add(Number("bracket.gain_db", "decibels", -20, 60, OMNIHDR_MEMBER(bracket.gain_db)));
   add(Whole("bracket.frames_per_position", "a whole number", 1, 1000,
             OMNIHDR_MEMBER(bracket.frames_per_position)));
+  add(FlickerHz());
+  add(NumberOrZero("bracket.max_blur_px", "pixels", "for any blur", 0.01, 1000,
+                   OMNIHDR_MEMBER(bracket.max_blur_px)));
+  add(Number("bracket.speed_m_s", "metres per second", 0, 100, OMNIHDR_MEMBER(bracket.speed_m_s)));
+  add(Number("bracket.near_m", "metres", 0.1, 1000, OMNIHDR_MEMBER(bracket.near_m)));
+  add(Whole("bracket.retake", "a whole number", 0, 8, OMNIHDR_MEMBER(bracket.retake)));
 
   add(Choice("trigger.source",
              std::vector{TriggerKind::kSoftware, TriggerKind::kTimer, TriggerKind::kDistance,
@@ -383,6 +402,8 @@ std::vector<ConfigKey> MakeKeys() {
              OMNIHDR_MEMBER(trigger.odometer)));
   add(Whole("trigger.limit", "a whole number", 0, 1'000'000'000, OMNIHDR_MEMBER(trigger.limit)));
   add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
+  add(Switch("trigger.burst", OMNIHDR_MEMBER(trigger.burst)));
+  add(Whole("trigger.rearm_after", "triggers", 0, 1000, OMNIHDR_MEMBER(trigger.rearm_after)));
 
   AddVehicleKeys(keys);
 

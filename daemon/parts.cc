@@ -34,7 +34,7 @@ Status CheckParts(const DaemonConfig& config) {
   OMNIHDR_TRY(MakeConfiguredParts(config, context));
   OMNIHDR_TRY(config.pipeline.options.Validate());
   // Limits of the camera are not known yet: what no camera could do is refused here.
-  OMNIHDR_TRY(BracketPlan::Make(MakeBracketOptions(config.bracket), {}));
+  OMNIHDR_TRY(BracketPlan::Make(MakeBracketOptions(config.bracket, config.trigger.burst), {}));
   return {};
 }
 

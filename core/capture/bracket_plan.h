@@ -1,5 +1,6 @@
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "core/base/result.h"
@@ -14,7 +15,14 @@ struct ExposureLimits {
   ExposureTime longest = ExposureTime::Seconds(3600.0);
   // Times are multiples of this, in seconds; 0 = continuous.
   double quantum_s = 0.0;
+  // Angle that a pixel spans, radians; 0 = not known.
+  double pixel_rad = 0.0;
 };
+
+// Angle that a pixel spans in the middle of a camera's picture: of a panorama's columns, of a
+// perspective picture, or of the finest sensor of a rig, whose rig.toml is among `files`. 0 when it
+// cannot be told.
+double PixelAngle(const CameraDescription& camera, const std::vector<SessionFile>& files);
 
 // Which exposures to take and in which order.
 struct BracketOptions {
@@ -28,6 +36,15 @@ struct BracketOptions {
   GainDb gain = {};
   // Triggers that belong to one position: 1 while driving, the whole bracket when standing still.
   int frames_per_position = 1;
+  // Frequency of the mains that lamps flicker by, hertz: exposures of at least half a period are
+  // rounded to multiples of it, so that every row of every frame sees the same light; shorter ones
+  // cannot be. 0 = leave them.
+  int flicker_hz = 0;
+  // Motion blur that is accepted, in pixels, of what is `near_m` away to the side while the vehicle
+  // drives `speed_m_s`. 0 = any.
+  double max_blur_px = 0.0;
+  double speed_m_s = 0.0;
+  double near_m = 5.0;
 };
 
 // Which exposure and which position a trigger gets. Law: both follow from the trigger's number
@@ -42,10 +59,11 @@ class BracketPlan {
   static constexpr int kMaxSteps = 64;
   static constexpr int kMaxFramesPerPosition = 1000;
 
-  // Exposures are rounded to the camera's quantum. Refused (kConfig, naming the step and the
-  // limit): no step or more than kMaxSteps, a time that is not positive and finite or not within
-  // the limits, two equal steps (list: two equal neighbours) after rounding, frames_per_position
-  // out of range.
+  // Exposures are rounded to half periods of the mains and to the camera's quantum. Refused
+  // (kConfig, naming the step and the limit): no step or more than kMaxSteps, a time that is not
+  // positive and finite or not within the limits, two equal steps (list: two equal neighbours)
+  // after rounding, more blur than is accepted (where the angle of a pixel is known),
+  // frames_per_position out of range.
   static Result<BracketPlan> Make(const BracketOptions& options, const ExposureLimits& limits);
 
   Exposure ForTrigger(TriggerId trigger) const;
@@ -57,6 +75,8 @@ class BracketPlan {
   const std::vector<ExposureTime>& exposures() const { return exposures_; }
   BracketOrder order() const { return order_; }
   int frames_per_position() const { return frames_per_position_; }
+  // What is not as it was asked for, one sentence a step: rounded by more than a thousandth.
+  const std::vector<std::string>& changes() const { return changes_; }
   // For session.json.
   BracketDescription Description() const;
 
@@ -64,6 +84,7 @@ class BracketPlan {
   BracketPlan() = default;
   BracketOrder order_ = BracketOrder::kSawtooth;
   std::vector<ExposureTime> exposures_;
+  std::vector<std::string> changes_;
   GainDb gain_;
   int frames_per_position_ = 1;
 };

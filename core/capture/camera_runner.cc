@@ -20,6 +20,7 @@ void CameraRunner::GoAway(const Error& error) {
   {
     std::lock_guard lock(gate_);
     running_ = false;
+    rearm_.clear();
     away_reason_ = error.message;
   }
   if (open_) {
@@ -55,6 +56,16 @@ Nanoseconds CameraRunner::Turn() {
     if (events_.started) events_.started();
     return Nanoseconds(0);
   }
+  std::string rearm;
+  {
+    std::lock_guard lock(gate_);
+    rearm.swap(rearm_);
+  }
+  if (!rearm.empty()) {
+    GoAway(Error{ErrorKind::kUnavailable, std::move(rearm)});
+    next_attempt_ = clock_.Now();
+    return Nanoseconds(0);
+  }
   Result<CameraFrame> frame = camera_.Receive(options_.receive_timeout);
   if (frame) {
     // A camera that delivers is well: only then is the patience of the next search short again.
@@ -83,6 +94,13 @@ Status CameraRunner::Command(const ExposureRequest& request) {
   std::lock_guard lock(gate_);
   if (!running_) return Fail(ErrorKind::kUnavailable, "no camera: {}", away_reason_);
   return camera_.Trigger(request);
+}
+
+bool CameraRunner::Rearm(std::string reason) {
+  std::lock_guard lock(gate_);
+  if (!running_ || !rearm_.empty()) return false;
+  rearm_ = std::move(reason);
+  return true;
 }
 
 bool CameraRunner::running() const {

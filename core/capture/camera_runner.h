@@ -48,6 +48,10 @@ class CameraRunner {
   // Camera::Trigger, or kUnavailable with the reason when the camera is not running.
   Status Command(const ExposureRequest& request);
   bool running() const;
+  // Closes the camera and opens it again, at once, by the next Turn: one that has stopped to take
+  // pictures often takes them again after that. False when it is not running or asked to already.
+  // Any thread.
+  bool Rearm(std::string reason);
 
  private:
   void GoAway(const Error& error);
@@ -59,6 +63,7 @@ class CameraRunner {
   mutable std::mutex gate_;  // held while Command uses the camera: it cannot be closed meanwhile
   bool running_ = false;
   std::string away_reason_ = "the camera is not open yet";
+  std::string rearm_;  // why; empty = not asked for
   Nanoseconds retry_;
   HostTime next_attempt_;
   bool open_ = false;

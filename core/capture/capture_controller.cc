@@ -30,6 +30,19 @@ std::string PixelFault(const CameraFrame& frame, const CameraDescription& descri
       frame.pixels);
 }
 
+MissReason ReasonOf(ErrorKind refusal) {
+  switch (refusal) {
+    case ErrorKind::kUnavailable:
+      return MissReason::kNoCamera;
+    case ErrorKind::kTemporary:
+      return MissReason::kCameraBusy;
+    case ErrorKind::kCannotCreate:
+      return MissReason::kStorageStop;
+    default:
+      return MissReason::kCameraError;
+  }
+}
+
 }  // namespace
 
 std::string_view ToString(MissReason reason) {
@@ -80,17 +93,25 @@ bool CaptureController::camera_known() const {
 }
 
 ExposureRequest CaptureController::NextRequest(const TriggerEvent& event) {
+  const std::uint64_t index = Value(next_) - retakes_;
   ExposureRequest request;
   request.trigger = next_;
-  request.exposure = plan_.ForTrigger(next_);
+  request.exposure = plan_.ForTrigger(TriggerId{index});
   request.trigger_time = event.time;
   request.odometer_m = event.odometer_m;
   if (!request.odometer_m && positions_ != nullptr) {
     request.odometer_m = positions_->OdometerMetres(event.time);
   }
+  planned_.push_back({index, retakes_, plan_.StepForTrigger(TriggerId{index})});
   next_ = TriggerId{Value(next_) + 1};
   ++counts_.triggers;
   return request;
+}
+
+CaptureController::Upcoming CaptureController::upcoming() const {
+  std::lock_guard lock(mutex_);
+  const TriggerId index{Value(next_) - retakes_};
+  return {plan_.StepForTrigger(index), plan_.ForTrigger(index)};
 }
 
 void CaptureController::OpenMissed(const ExposureRequest& request, MissReason reason,
@@ -99,20 +120,35 @@ void CaptureController::OpenMissed(const ExposureRequest& request, MissReason re
   ledger_.OpenFailed(request, FrameStatus::kMissedTrigger, std::move(detail));
 }
 
+int CaptureController::FramesOfAnEvent() const {
+  return options_.burst ? plan_.frames_per_position() : 1;
+}
+
 void CaptureController::AddLost(const LostEvents& lost, HostTime time) {
+  const int frames = FramesOfAnEvent();
   for (std::uint64_t i = 0; i < lost.count; ++i) {
-    if (i >= options_.max_lost_lines || !sink_.TryReserveLine()) {
+    if (i >= options_.max_lost_lines || !ReserveLines(frames)) {
       counts_.lost_unlisted += lost.count - i;
       return;
     }
     // Where the lost one was is not known: only its place in the order is.
     TriggerEvent unknown_place;
     unknown_place.time = time;
-    ExposureRequest request = NextRequest(unknown_place);
-    request.odometer_m.reset();
-    OpenMissed(request, MissReason::kSourceLost,
-               lost.reason.empty() ? "the trigger source lost this event before it was read"
-                                   : lost.reason);
+    for (int frame = 0; frame < frames; ++frame) {
+      ExposureRequest request = NextRequest(unknown_place);
+      request.odometer_m.reset();
+      OpenMissed(request, MissReason::kSourceLost,
+                 lost.reason.empty() ? "the trigger source lost this event before it was read"
+                                     : lost.reason);
+    }
+  }
+}
+
+void CaptureController::EndBrokenBurst(const TriggerEvent& event) {
+  const auto frames = static_cast<std::uint64_t>(FramesOfAnEvent());
+  while (Value(next_) % frames != 0 && sink_.TryReserveLine()) {
+    ledger_.OpenFailed(NextRequest(event), FrameStatus::kMissedTrigger,
+                       "the burst of this position was cut short by a restart");
   }
 }
 
@@ -122,44 +158,152 @@ void CaptureController::OnLost(const LostEvents& lost) {
   SubmitEnded();
 }
 
+bool CaptureController::ReserveLines(int lines) {
+  for (int i = 0; i < lines; ++i) {
+    if (sink_.TryReserveLine()) continue;
+    for (; i > 0; --i) sink_.ReleaseLine();
+    return false;
+  }
+  return true;
+}
+
 Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) {
   std::lock_guard lock(mutex_);
+  EndBrokenBurst(event);
   AddLost({event.lost_before, event.lost_reason}, event.time);
-  if (!sink_.TryReserveLine()) {
-    ++counts_.refused;
+  const int frames = FramesOfAnEvent();
+  if (!ReserveLines(frames)) {
+    counts_.refused += static_cast<std::uint64_t>(frames);
     SubmitEnded();
     return Fail(ErrorKind::kTemporary,
                 "trigger refused: as many lines as may wait to be stored do so already");
   }
-  const ExposureRequest request = NextRequest(event);
+  const bool burst_before = !waiting_.empty();
   AcceptedTrigger accepted;
-  accepted.trigger = request.trigger;
-  accepted.position = plan_.PositionForTrigger(request.trigger);
-  accepted.step = plan_.StepForTrigger(request.trigger);
-  accepted.exposure = request.exposure;
-  accepted.time = request.trigger_time;
-  accepted.odometer_m = request.odometer_m;
+  for (int i = 0; i < frames; ++i) {
+    const ExposureRequest request = NextRequest(event);
+    if (i == 0) {
+      accepted.trigger = request.trigger;
+      accepted.position = plan_.PositionForTrigger(request.trigger);
+      accepted.step = planned_.back().step;
+      accepted.exposure = request.exposure;
+      accepted.time = request.trigger_time;
+      accepted.odometer_m = request.odometer_m;
+    }
+    if (burst_before) {
+      OpenMissed(request, MissReason::kCameraBusy, "the burst before has not ended");
+    } else if (options_.burst) {
+      BeginBurst(request);
+    } else {
+      CommandNow(request);
+    }
+  }
+  if (!burst_before) CommandWaiting();
+  SubmitEnded();
+  return accepted;
+}
 
+HostTime CaptureController::FrameDeadline(const ExposureRequest& request) const {
+  const auto exposure = Nanoseconds(std::llround(request.exposure.time.seconds() * 1e9));
+  // From the command on, not from the event: a late loop must not eat into the camera's time.
+  return std::max(clock_.Now(), request.trigger_time) + exposure + options_.frame_timeout;
+}
+
+void CaptureController::CountCameraMiss(ErrorKind kind) {
+  if (kind == ErrorKind::kUnavailable || kind == ErrorKind::kCannotCreate) return;
+  // A camera that is busy with a picture that is on its way does what it should.
+  if (ledger_.open() == 0) ++frameless_;
+}
+
+void CaptureController::CommandNow(const ExposureRequest& request) {
   if (!sink_.TryReserveBuffer()) {
     OpenMissed(request, MissReason::kNoBuffer,
                "no free frame buffer: the storage is slower than the triggers");
-  } else if (Status commanded = command_(request); !commanded) {
-    sink_.ReleaseBuffer();
-    const ErrorKind kind = commanded.error().kind;
-    OpenMissed(request,
-               kind == ErrorKind::kUnavailable    ? MissReason::kNoCamera
-               : kind == ErrorKind::kTemporary    ? MissReason::kCameraBusy
-               : kind == ErrorKind::kCannotCreate ? MissReason::kStorageStop
-                                                  : MissReason::kCameraError,
-               commanded.error().message);
-  } else {
-    const auto exposure = Nanoseconds(std::llround(request.exposure.time.seconds() * 1e9));
-    // From the command on, not from the event: a late loop must not eat into the camera's time.
-    const HostTime from = std::max(clock_.Now(), request.trigger_time);
-    ledger_.Open(request, from + exposure + options_.frame_timeout, true);
+    return;
   }
-  SubmitEnded();
-  return accepted;
+  if (Status commanded = command_(request); !commanded) {
+    sink_.ReleaseBuffer();
+    CountCameraMiss(commanded.error().kind);
+    OpenMissed(request, ReasonOf(commanded.error().kind), commanded.error().message);
+    return;
+  }
+  ledger_.Open(request, FrameDeadline(request), true);
+}
+
+void CaptureController::BeginBurst(const ExposureRequest& request) {
+  // All of its frames one after the other, each as slow as one may be.
+  if (waiting_.empty()) {
+    waiting_until_ = clock_.Now();
+    burst_retakes_.clear();
+  }
+  waiting_until_ = waiting_until_ + (FrameDeadline(request) - clock_.Now());
+  ledger_.Open(request, waiting_until_, false);
+  waiting_.push_back({request, false});
+}
+
+void CaptureController::CommandWaiting() {
+  while (!waiting_.empty()) {
+    const Waiting next = waiting_.front();
+    if (!next.holds_buffer && !sink_.TryReserveBuffer()) {
+      waits_for_ = MissReason::kNoBuffer;
+      break;
+    }
+    const Status commanded = command_(next.request);
+    if (!commanded && commanded.error().kind == ErrorKind::kTemporary) {
+      if (!next.holds_buffer) sink_.ReleaseBuffer();
+      waits_for_ = MissReason::kCameraBusy;
+      break;
+    }
+    waiting_.pop_front();
+    ledger_.Await(next.request.trigger, FrameDeadline(next.request), true);
+    if (!commanded) {
+      const MissReason reason = ReasonOf(commanded.error().kind);
+      ++counts_.missed[static_cast<std::size_t>(reason)];
+      ledger_.Resolve(next.request.trigger, FrameStatus::kMissedTrigger, commanded.error().message,
+                      std::nullopt);
+    }
+  }
+  ask_again_ = clock_.Now() + options_.burst_retry;
+}
+
+void CaptureController::GiveUpWaiting() {
+  if (waiting_.empty() || clock_.Now() < waiting_until_) return;
+  if (waits_for_ == MissReason::kCameraBusy && ledger_.open() == waiting_.size()) ++frameless_;
+  for (const Waiting& waiting : waiting_) {
+    ++counts_.missed[static_cast<std::size_t>(waits_for_)];
+    ledger_.Resolve(waiting.request.trigger, FrameStatus::kMissedTrigger,
+                    waits_for_ == MissReason::kNoBuffer
+                        ? "no free frame buffer before the end of the burst's time"
+                        : "the camera stayed busy until the end of the burst's time",
+                    std::nullopt);
+  }
+  waiting_.clear();
+}
+
+bool CaptureController::TakeAgain(const ExposureRequest& request) {
+  if (options_.retake <= 0) return false;
+  if (options_.burst) {
+    int& times = burst_retakes_[request.trigger];
+    if (times >= options_.retake) return false;
+    ++times;
+    ++counts_.retaken;
+    if (waiting_.empty()) waiting_until_ = FrameDeadline(request);
+    ledger_.Await(request.trigger, waiting_until_, true);
+    waiting_.push_front({request, true});
+    return true;
+  }
+  if (plan_.frames_per_position() != 1) return false;
+  const std::size_t back = Value(next_) - Value(request.trigger);
+  if (back == 0 || back > planned_.size()) return false;
+  const std::uint64_t index = planned_[planned_.size() - back].index;
+  // It is to be taken again already, with one before it.
+  if (index >= Value(next_) - retakes_) return false;
+  retaken_times_ = retaken_index_ == index ? retaken_times_ + 1 : 1;
+  retaken_index_ = index;
+  if (retaken_times_ > options_.retake) return false;
+  retakes_ = Value(next_) - index;
+  ++counts_.retaken;
+  return false;  // the frame that was not proved has its line all the same
 }
 
 void CaptureController::OnFrame(CameraFrame frame) {
@@ -168,6 +312,7 @@ void CaptureController::OnFrame(CameraFrame frame) {
     counts_.camera_gaps += frame.camera_counter - *last_camera_counter_ - 1;
   }
   last_camera_counter_ = frame.camera_counter;
+  frameless_ = 0;
 
   const TriggerId trigger = frame.trigger;
   const ExposureRequest* request = ledger_.FindOpen(trigger);
@@ -185,6 +330,11 @@ void CaptureController::OnFrame(CameraFrame frame) {
     const ExposureCheck check =
         VerifyExposure(request->exposure, frame.measured_exposure, frame.proof, options_.tolerance);
     if (!check.usable) {
+      if (TakeAgain(*request)) {
+        CommandWaiting();
+        SubmitEnded();
+        return;
+      }
       status = FrameStatus::kExposureMismatch;
       detail = check.detail;
     }
@@ -193,31 +343,41 @@ void CaptureController::OnFrame(CameraFrame frame) {
     ++counts_.missed[static_cast<std::size_t>(MissReason::kCameraError)];
   }
   ledger_.Resolve(trigger, status, std::move(detail), std::move(frame));
+  CommandWaiting();
   SubmitEnded();
 }
 
 void CaptureController::OnCameraLost(const std::string& reason) {
   std::lock_guard lock(mutex_);
   last_camera_counter_.reset();
+  frameless_ = 0;
+  waiting_.clear();
   ledger_.FailOpen(FrameStatus::kCameraTimeout, fmt::format("the camera has gone: {}", reason));
   SubmitEnded();
 }
 
 void CaptureController::OnTime() {
   std::lock_guard lock(mutex_);
+  GiveUpWaiting();
+  const std::size_t open = ledger_.open();
   ledger_.Expire(clock_.Now());
+  frameless_ += open - ledger_.open();
+  if (!waiting_.empty() && clock_.Now() >= ask_again_) CommandWaiting();
   SubmitEnded();
 }
 
 std::optional<HostTime> CaptureController::NextDeadline() const {
   std::lock_guard lock(mutex_);
-  return ledger_.NextDeadline();
+  std::optional<HostTime> next = ledger_.NextDeadline();
+  if (!waiting_.empty() && (!next || ask_again_ < *next)) next = ask_again_;
+  return next;
 }
 
-CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) const {
+CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
   CaptureLine line;
   FrameRecord& record = line.record;
   const ExposureRequest& request = outcome.request;
+  planned_.pop_front();
   record.frame = FrameId{Value(request.trigger)};
   record.position = plan_.PositionForTrigger(request.trigger);
   record.exposure = request.exposure;
@@ -256,6 +416,11 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) const {
     }
   }
   return line;
+}
+
+std::uint64_t CaptureController::frameless() const {
+  std::lock_guard lock(mutex_);
+  return frameless_;
 }
 
 void CaptureController::SubmitEnded() {

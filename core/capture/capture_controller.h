@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <map>
 #include <mutex>
 #include <optional>
 #include <string>
@@ -36,6 +37,7 @@ class CaptureSink {
   virtual ~CaptureSink() = default;
   // Room for one line. Every reserved line is submitted exactly once.
   virtual bool TryReserveLine() = 0;
+  virtual void ReleaseLine() = 0;  // one that was reserved and is not needed
   // One of the fixed pool of pixel buffers, until the line that holds it is stored.
   virtual bool TryReserveBuffer() = 0;
   virtual void ReleaseBuffer() = 0;
@@ -48,6 +50,13 @@ struct CaptureOptions {
   ExposureTolerance tolerance;
   // Most triggers that a source may report lost at once and still get a line each.
   std::uint64_t max_lost_lines = 256;
+  // How often in a row a step is taken again whose exposure was not proved; 0 = never.
+  int retake = 0;
+  // An event takes a whole position: as many triggers as it has frames, commanded one after the
+  // other as soon as the camera accepts them.
+  bool burst = false;
+  // How soon a busy camera is asked again within a burst.
+  Nanoseconds burst_retry = std::chrono::milliseconds(2);
 };
 
 // Why a trigger got no exposure (FrameStatus::kMissedTrigger).
@@ -69,6 +78,7 @@ struct CaptureCounts {
   std::uint64_t camera_gaps = 0;    // frames the camera's own counter says were lost
   std::uint64_t lost_unlisted = 0;  // reported lost by the source beyond max_lost_lines
   std::array<std::uint64_t, kMissReasonCount> missed{};  // lines by MissReason
+  std::uint64_t retaken = 0;  // steps taken again because their exposure was not proved
 };
 
 struct AcceptedTrigger {
@@ -85,6 +95,11 @@ struct AcceptedTrigger {
 // exactly one line; lines are submitted in trigger order; the frame number of a line is its
 // trigger's number. So the number of lines in the journal is the number of the next trigger after a
 // restart. Thread-safe: OnTrigger comes from the event loop, OnFrame from the camera's thread.
+//
+// A step whose exposure was not proved is taken again (CaptureOptions::retake): while driving, one
+// frame a position, by the next trigger, and the bracket goes on behind it, put off by the triggers
+// that this took; in a burst at once, at the same position and for the same trigger. The frame that
+// was not proved is journaled in the first case and replaced in the second.
 class CaptureController {
  public:
   // Commands the camera; same law and errors as Camera::Trigger, and kCannotCreate when there is no
@@ -113,7 +128,7 @@ class CaptureController {
   void OnFrame(CameraFrame frame);
   // All frames on their way are lost with the camera.
   void OnCameraLost(const std::string& reason);
-  // Ends triggers whose frame is overdue. Call at NextDeadline().
+  // Ends triggers whose frame is overdue, and asks a busy camera again. Call at NextDeadline().
   void OnTime();
   std::optional<HostTime> NextDeadline() const;
 
@@ -121,6 +136,14 @@ class CaptureController {
   // Commanded exposures without an answer yet.
   std::size_t open_triggers() const;
   CaptureCounts counts() const;
+  // Triggers in a row that the camera left without a frame although it had nothing else on its way.
+  std::uint64_t frameless() const;
+  // What the next trigger takes; step is an index into the plan's exposures.
+  struct Upcoming {
+    int step = 0;
+    Exposure exposure;
+  };
+  Upcoming upcoming() const;
   // How many of the last 16 lines submitted have no usable frame; the newest one's reason.
   struct RecentLosses {
     int lost = 0;
@@ -137,8 +160,20 @@ class CaptureController {
   void AddLost(const LostEvents& lost, HostTime time);
   void OpenMissed(const ExposureRequest& request, MissReason reason, std::string detail);
   ExposureRequest NextRequest(const TriggerEvent& event);
+  bool ReserveLines(int lines);
+  int FramesOfAnEvent() const;
+  // A session may have been left in the middle of a burst: its position is filled up with missed
+  // lines, so that the next burst is a position of its own.
+  void EndBrokenBurst(const TriggerEvent& event);
+  void CommandNow(const ExposureRequest& request);
+  void BeginBurst(const ExposureRequest& request);
+  void CommandWaiting();
+  void GiveUpWaiting();
+  bool TakeAgain(const ExposureRequest& request);
+  HostTime FrameDeadline(const ExposureRequest& request) const;
+  void CountCameraMiss(ErrorKind kind);
   void SubmitEnded();
-  CaptureLine MakeLine(TriggerOutcome outcome) const;
+  CaptureLine MakeLine(TriggerOutcome outcome);
 
   CaptureSink& sink_;
   const CommandCamera command_;
@@ -152,7 +187,29 @@ class CaptureController {
   CaptureOptions options_;
   bool camera_known_ = false;
   TriggerId next_;
+  std::uint64_t retakes_ = 0;  // the next trigger takes step (its number − retakes_) of the order
   TriggerLedger ledger_;
+  // Of every trigger in the ledger, in its order.
+  struct Planned {
+    std::uint64_t index = 0;  // in the order of the bracket
+    std::uint64_t retakes = 0;
+    int step = 0;
+  };
+  std::deque<Planned> planned_;
+  // Of the bracket's order, the place that was last taken again, and how often.
+  std::optional<std::uint64_t> retaken_index_;
+  int retaken_times_ = 0;
+  // Triggers of a burst that the camera has not accepted yet; in the ledger already.
+  struct Waiting {
+    ExposureRequest request;
+    bool holds_buffer = false;
+  };
+  std::deque<Waiting> waiting_;
+  HostTime waiting_until_;
+  HostTime ask_again_;
+  MissReason waits_for_ = MissReason::kCameraBusy;
+  std::map<TriggerId, int> burst_retakes_;
+  std::uint64_t frameless_ = 0;
   CaptureCounts counts_;
   std::deque<bool> recent_lost_;
   std::string last_reason_;

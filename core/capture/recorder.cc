@@ -42,6 +42,12 @@ bool Recorder::TryReserveLine() {
   return true;
 }
 
+void Recorder::ReleaseLine() {
+  std::lock_guard lock(mutex_);
+  assert(reserved_lines_ > waiting_);
+  --reserved_lines_;
+}
+
 bool Recorder::TryReserveBuffer() {
   std::lock_guard lock(mutex_);
   if (free_buffers_ == 0) return false;

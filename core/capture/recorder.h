@@ -70,6 +70,7 @@ class Recorder final : public CaptureSink {
   Recorder(const RecorderOptions& options, RecorderEvents events);
 
   bool TryReserveLine() override;
+  void ReleaseLine() override;
   bool TryReserveBuffer() override;
   void ReleaseBuffer() override;
   void Submit(CaptureLine line) override;

@@ -30,6 +30,13 @@ void TriggerLedger::OpenFailed(const ExposureRequest& request, FrameStatus statu
   entries_.push_back(std::move(entry));
 }
 
+void TriggerLedger::Await(TriggerId trigger, HostTime deadline, bool reserved_buffer) {
+  Entry* entry = Find(trigger);
+  if (entry == nullptr || entry->ended) return;
+  entry->deadline = deadline;
+  entry->outcome.reserved_buffer = reserved_buffer;
+}
+
 TriggerLedger::Entry* TriggerLedger::Find(TriggerId trigger) {
   const auto found = std::find_if(entries_.begin(), entries_.end(), [&](const Entry& entry) {
     return entry.outcome.request.trigger == trigger;

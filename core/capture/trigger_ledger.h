@@ -47,6 +47,9 @@ class TriggerLedger {
   // A trigger that ends at once without a frame.
   void OpenFailed(const ExposureRequest& request, FrameStatus status, std::string detail);
 
+  // An open trigger is commanded, or to be commanded again: when its frame should be there.
+  void Await(TriggerId trigger, HostTime deadline, bool reserved_buffer);
+
   enum class Match { kMatched, kUnknown };
   // The outcome of an open trigger; kUnknown when there is no such trigger or it has ended already
   // (a late frame).

@@ -96,7 +96,8 @@ Json StatusToJson(const StatusReport& s) {
        {{"ready", s.camera_ready},
         {"model", Utf8(s.camera_model)},
         {"serial", Utf8(s.camera_serial)},
-        {"counters", std::move(camera_counters)}}},
+        {"counters", std::move(camera_counters)},
+        {"rearmed", s.camera_rearmed}}},
       {"armed", s.armed},
       {"trigger_source", s.trigger_source},
       {"triggers",
@@ -108,6 +109,7 @@ Json StatusToJson(const StatusReport& s) {
         {"camera_gaps", s.capture.camera_gaps},
         {"lost_unlisted", s.capture.lost_unlisted},
         {"without_session", s.triggers_without_session},
+        {"retaken", s.capture.retaken},
         {"missed", missed}}},
       {"positions_triggered", s.positions_triggered},
       {"frames_recorded", s.lines[FrameStatus::kOk]},
@@ -176,11 +178,10 @@ Json StatusToJson(const StatusReport& s) {
                              {"lost", link.lost}});
   }
   if (s.bracket_steps > 0) {
-    json["bracket"] = {{"order", s.bracket_order},
-                       {"step", s.bracket_step},
-                       {"steps", s.bracket_steps},
-                       {"exposure_s", s.exposure.time.seconds()},
-                       {"gain_db", s.exposure.gain.value}};
+    json["bracket"] = {
+        {"order", s.bracket_order},         {"step", s.bracket_step},
+        {"steps", s.bracket_steps},         {"exposure_s", s.exposure.time.seconds()},
+        {"gain_db", s.exposure.gain.value}, {"changes", s.bracket_changes}};
   } else {
     json["bracket"] = nullptr;
   }
@@ -222,6 +223,12 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_triggers_lost_unlisted_total", "counter",
         "Events the trigger source reported lost that got no journal line.",
         AsDouble(s.capture.lost_unlisted));
+  m.One("omnihdr_steps_retaken_total", "counter",
+        "Steps of the bracket taken again because their exposure was not proved.",
+        AsDouble(s.capture.retaken));
+  m.One("omnihdr_camera_rearmed_total", "counter",
+        "Times the camera was opened anew because triggers gave no frame.",
+        AsDouble(s.camera_rearmed));
   m.Family("omnihdr_frames_total", "counter", "Journal lines of the session by status.");
   for (const FrameStatus status : kStatuses) {
     m.Sample("omnihdr_frames_total", fmt::format("status=\"{}\"", ToString(status)),
@@ -385,6 +392,10 @@ std::string StatusForPeople(const Json& s) {
     line("next", fmt::format("{:.6g} s, step {} of {} ({})", bracket.at("exposure_s").get<double>(),
                              bracket.at("step").get<int>() + 1, bracket.at("steps").get<int>(),
                              bracket.at("order").get<std::string>()));
+  }
+  if (const Json& bracket = s.at("bracket"); bracket.is_object()) {
+    const Json changes = bracket.value("changes", Json::array());
+    for (const Json& change : changes) line("bracket", change.get<std::string>());
   }
   if (const Json& odometer = s.at("odometer_m"); odometer.is_number()) {
     line("odometer", fmt::format("{:.2f} m", odometer.get<double>()));

@@ -33,6 +33,7 @@ struct StatusReport {
   std::string camera_model;
   std::string camera_serial;
   std::vector<std::pair<std::string, std::uint64_t>> camera_counters;  // the driver's own, by name
+  std::uint64_t camera_rearmed = 0;  // opened anew because triggers gave no frame; this run
 
   bool armed = false;
   std::string trigger_source;
@@ -57,6 +58,7 @@ struct StatusReport {
   int bracket_step = 0;
   int bracket_steps = 0;
   std::string bracket_order;
+  std::vector<std::string> bracket_changes;  // what is not as it was configured
   Exposure exposure;
 
   std::optional<double> odometer_m;

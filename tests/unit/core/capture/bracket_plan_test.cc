@@ -57,6 +57,82 @@ TEST(BracketPlan, StepsAreStopsApartFromTheStart) {
   EXPECT_DOUBLE_EQ(plan.ForTrigger(TriggerId{1}).gain.value, 6.0);
 }
 
+TEST(BracketPlan, ExposuresOfHalfAPeriodOfTheMainsAndMoreAreMultiplesOfIt) {
+  BracketOptions options;
+  options.exposures = {Seconds(0.004), Seconds(0.012), Seconds(0.036)};
+  options.flicker_hz = 50;
+  const auto plan = BracketPlan::Make(options, {}).value();
+  EXPECT_DOUBLE_EQ(plan.exposures()[0].seconds(), 0.004) << "shorter ones cannot be safe";
+  EXPECT_DOUBLE_EQ(plan.exposures()[1].seconds(), 0.01);
+  EXPECT_DOUBLE_EQ(plan.exposures()[2].seconds(), 0.04);
+  ASSERT_EQ(plan.changes().size(), 2U);
+  EXPECT_EQ(plan.changes()[0],
+            "exposure 1: 0.01 s instead of 0.012 s, a multiple of half a period of 50 Hz");
+  options.flicker_hz = 60;
+  EXPECT_NEAR(BracketPlan::Make(options, {}).value().exposures()[1].seconds(), 1.0 / 120.0, 1e-15);
+  options.flicker_hz = 0;
+  EXPECT_TRUE(BracketPlan::Make(options, {}).value().changes().empty());
+  // Where the camera cannot expose so long, the multiple below.
+  options.flicker_hz = 50;
+  const auto limited = BracketPlan::Make(options, {.longest = Seconds(0.0375)}).value();
+  EXPECT_DOUBLE_EQ(limited.exposures()[2].seconds(), 0.03);
+}
+
+TEST(BracketPlan, StepsThatTheMainsMakeEqualAreRefusedWithTheReason) {
+  BracketOptions options;
+  options.exposures = {Seconds(0.009), Seconds(0.011), Seconds(0.014)};
+  options.flicker_hz = 50;
+  EXPECT_EQ(RefusalOf(options),
+            "bracket: exposures 1 and 2 are both 0.01 s (the camera's quantum is 0 s, half a "
+            "period of 50 Hz 0.01 s): expected different ones");
+  options.flicker_hz = 55;
+  EXPECT_EQ(RefusalOf(options), "bracket: flicker_hz 55: expected 0, 50 or 60");
+}
+
+TEST(BracketPlan, WhatTheCamerasQuantumChangesIsTold) {
+  BracketOptions options;
+  options.exposures = {Seconds(0.001), Seconds(0.00337)};
+  const auto plan = BracketPlan::Make(options, {.quantum_s = 0.0005}).value();
+  EXPECT_EQ(plan.changes(),
+            (std::vector<std::string>{
+                "exposure 1: 0.0035 s instead of 0.00337 s, a multiple of the camera's 0.0005 s"}));
+}
+
+TEST(BracketPlan, TheStepThatBlursMoreThanIsAcceptedIsNamedWithTheTimeThatWouldDo) {
+  BracketOptions options;
+  options.exposures = {Seconds(0.001), Seconds(0.004), Seconds(0.016)};
+  options.max_blur_px = 2.0;
+  options.speed_m_s = 10.0;
+  options.near_m = 5.0;
+  // 2 rad/s; a pixel of 1 mrad is passed in 0.5 ms.
+  EXPECT_EQ(RefusalOf(options, {.pixel_rad = 0.001}),
+            "bracket: exposure 1 is 0.004 s: what is 5 m away is blurred over 8 pixels at 10 "
+            "m/s: expected at most 0.001 s for max_blur_px = 2");
+  EXPECT_EQ(RefusalOf(options, {.pixel_rad = 0.016}), "accepted");
+  EXPECT_EQ(RefusalOf(options), "accepted") << "how large a pixel is, the camera has yet to tell";
+  options.speed_m_s = 0.0;
+  EXPECT_EQ(RefusalOf(options),
+            "bracket: max_blur_px 2 with speed_m_s 0 and near_m 5: expected a speed and a distance "
+            "above 0");
+}
+
+TEST(BracketPlan, AnAngleOfAPixelFollowsFromThePictureOrTheRig) {
+  CameraDescription camera;
+  camera.width = 2000;
+  EXPECT_NEAR(PixelAngle(camera, {}), 0.0031416, 1e-6);
+  camera.layout = Layout::kPerspective;
+  camera.intrinsics.fx = 500.0;
+  EXPECT_DOUBLE_EQ(PixelAngle(camera, {}), 0.002);
+  camera.layout = Layout::kRig;
+  EXPECT_EQ(PixelAngle(camera, {}), 0.0);
+  const std::string rig =
+      "format = \"omnihdr-rig\"\nversion = 1\n[[sensor]]\nname = \"0\"\nsize = [64, 64]\n"
+      "lens = \"pinhole\"\nfocal = [40.0, 40.0]\ncentre = [32.0, 32.0]\n"
+      "distortion = [0, 0, 0, 0, 0]\nfov_deg = 80\nrotation = [1, 0, 0, 0]\n"
+      "translation = [0, 0, 0]\n";
+  EXPECT_DOUBLE_EQ(PixelAngle(camera, {{"rig.toml", rig}}), 1.0 / 40.0);
+}
+
 TEST(BracketPlan, ExposuresAreMultiplesOfTheCamerasQuantum) {
   BracketOptions options;
   options.exposures = {Seconds(0.00101), Seconds(0.00396)};

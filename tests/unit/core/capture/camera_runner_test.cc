@@ -150,6 +150,21 @@ TEST(CameraRunner, ACameraThatGoesAtOnceEveryTimeIsAskedLessAndLess) {
   EXPECT_EQ(rests_ms, (std::vector<std::int64_t>{250, 500, 1000}));
 }
 
+TEST(CameraRunner, ARunningCameraCanBeOpenedAnewAtOnce) {
+  Bench bench;
+  EXPECT_FALSE(bench.runner.Rearm("not yet open"));
+  bench.runner.Turn();
+  EXPECT_TRUE(bench.runner.Rearm("no frames"));
+  EXPECT_FALSE(bench.runner.Rearm("asked already"));
+  bench.runner.Turn();
+  EXPECT_EQ(bench.away, (std::vector<std::string>{"no frames"}));
+  EXPECT_FALSE(bench.camera.open);
+  bench.runner.Turn();
+  EXPECT_TRUE(bench.runner.running());
+  EXPECT_EQ(bench.camera.opens, 2);
+  EXPECT_EQ(bench.started, 2);
+}
+
 TEST(CameraRunner, ACameraTheListenerRefusesIsClosedAgain) {
   Bench bench;
   bench.opened_error = "another camera";

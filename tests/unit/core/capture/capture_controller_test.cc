@@ -3,58 +3,20 @@
 #include <gtest/gtest.h>
 #include <rapidcheck/gtest.h>
 
-#include "tests/unit/core/capture/simulated.h"
+#include <vector>
+
+#include "tests/unit/core/capture/controller_bench.h"
 
 namespace omnihdr::capture_controller_test {
 namespace {
 
 using std::chrono::milliseconds;
+using testing_capture::Bench;
 using testing_capture::FrameFor;
 using testing_capture::KeepingSink;
+using testing_capture::Sawtooth;
 using testing_capture::SimulatedClock;
 using testing_capture::SmallCamera;
-
-class FixedPosition final : public PositionSource {
- public:
-  std::optional<double> OdometerMetres(HostTime) const override { return 12.5; }
-};
-
-BracketPlan Sawtooth(int frames_per_position = 1) {
-  BracketOptions options;
-  options.frames_per_position = frames_per_position;
-  return BracketPlan::Make(options, {}).value();
-}
-
-// The controller with a camera that only notes what it is asked.
-struct Bench {
-  explicit Bench(std::size_t buffers = 4, std::size_t lines = 1000, std::uint64_t first = 0,
-                 int frames_per_position = 1)
-      : sink(buffers, lines),
-        controller(
-            Sawtooth(frames_per_position), SmallCamera(), CaptureOptions{}, TriggerId{first}, sink,
-            [this](const ExposureRequest& request) -> Status {
-              if (!refusal.empty()) return Fail(ErrorKind::kTemporary, "{}", refusal);
-              commanded.push_back(request);
-              return {};
-            },
-            &positions, clock) {}
-
-  Result<AcceptedTrigger> TryTrigger(std::uint64_t lost_before = 0) {
-    TriggerEvent event;
-    event.time = clock.Now();
-    event.lost_before = lost_before;
-    return controller.OnTrigger(event);
-  }
-  void Trigger(std::uint64_t lost_before = 0) { EXPECT_TRUE(TryTrigger(lost_before)); }
-  const FrameRecord& record(std::size_t i) const { return sink.lines.at(i).record; }
-
-  SimulatedClock clock;
-  FixedPosition positions;
-  KeepingSink sink;
-  std::string refusal;
-  std::vector<ExposureRequest> commanded;
-  CaptureController controller;
-};
 
 TEST(CaptureController, ATriggerBecomesALineWithPixelsAndTimes) {
   Bench bench;

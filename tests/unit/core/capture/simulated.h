@@ -34,6 +34,7 @@ class KeepingSink final : public CaptureSink {
     --free_lines;
     return true;
   }
+  void ReleaseLine() override { ++free_lines; }
   bool TryReserveBuffer() override {
     if (free_buffers == 0) return false;
     --free_buffers;

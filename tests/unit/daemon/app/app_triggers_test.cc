@@ -116,5 +116,60 @@ TEST_F(AppTriggers, WhatCameBeforeItWasDisarmedHasItsLine) {
   EXPECT_EQ(status["triggers"]["missed"]["no-camera"], 100);
 }
 
+TEST_F(AppTriggers, ABurstIsTheWholeBracketAtOnePosition) {
+  config_.trigger.burst = true;
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 3; }));
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 6; }));
+  EXPECT_EQ(Client().Get("/v1/status").value()["positions_triggered"], 2);
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  ASSERT_EQ(frames.size(), 6U);
+  for (std::size_t i = 0; i < 6; ++i) {
+    EXPECT_EQ(Value(frames[i].position), static_cast<std::int64_t>(i / 3));
+    EXPECT_EQ(frames[i].exposure.time.seconds(), config_.bracket.exposures_s[i % 3]);
+  }
+  EXPECT_EQ(ReadSession(session())->info.bracket->frames_per_position, 3);
+}
+
+TEST_F(AppTriggers, ACameraThatLeavesTriggersWithoutFramesIsOpenedAnewAndThatIsCounted) {
+  config_.trigger.rearm_after = 3;
+  config_.camera.frame_timeout_s = 0.05;
+  camera_->SetAnswering(false);
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  for (int i = 0; i < 3; ++i) {
+    Trigger();
+    ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["in_flight"] == 0; }));
+  }
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["rearmed"] == 1; }));
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }));
+  camera_->SetAnswering(true);
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+}
+
+TEST_F(AppTriggers, WhatTheMainsChangedInTheBracketIsTold) {
+  config_.bracket.exposures_s = {0.001, 0.004, 0.012};
+  config_.bracket.flicker_hz = 50;
+  Start();
+  ASSERT_TRUE(InState("armed"));
+  const nlohmann::json status = Client().Get("/v1/status").value();
+  EXPECT_THAT(status["bracket"]["changes"][0].get<std::string>(),
+              HasSubstr("exposure 2: 0.01 s instead of 0.012 s"));
+}
+
+TEST_F(AppTriggers, ABracketThatBlursMoreThanIsAcceptedIsAFaultThatNamesTheStep) {
+  config_.bracket.max_blur_px = 0.001;
+  config_.bracket.speed_m_s = 10.0;
+  Start();
+  ASSERT_TRUE(InState("fault"));
+  EXPECT_THAT(Client().Get("/v1/status").value()["reason"].get<std::string>(),
+              HasSubstr("exposure 0 is 0.001 s: what is 5 m away is blurred"));
+}
+
 }  // namespace
 }  // namespace omnihdr::app_triggers_test

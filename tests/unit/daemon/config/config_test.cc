@@ -55,6 +55,19 @@ std::string Value(const DaemonConfig& config, const std::string& key) {
   return value ? *value : value.error().message;
 }
 
+TEST(Config, ABurstWantsAWholeBracketAndABlurBoundASpeed) {
+  const LoadedConfig loaded = ParseConfig(
+      "[bracket]\nframes_per_position = 2\norder = \"triangle\"\nmax_blur_px = 2.0\n"
+      "[trigger]\nburst = true\n",
+      "c.toml");
+  std::string problems;
+  for (const ConfigProblem& problem : loaded.problems) problems += problem.ToString() + "\n";
+  EXPECT_THAT(problems, ::testing::HasSubstr("bracket.speed_m_s: 0, expected the speed"));
+  EXPECT_THAT(problems,
+              ::testing::HasSubstr("bracket.frames_per_position: 2, expected 1 or the 3"));
+  EXPECT_THAT(problems, ::testing::HasSubstr("bracket.order: \"triangle\", expected"));
+}
+
 TEST(ConfigFile, OmnihdrTomlListsEveryKeyWithExactlyTheBuiltInDefault) {
   const LoadedConfig loaded = LoadConfig(kConfigFolder / "omnihdr.toml");
   for (const ConfigProblem& problem : loaded.problems) ADD_FAILURE() << problem.ToString();
