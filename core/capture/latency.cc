@@ -29,17 +29,26 @@ void LatencyCounts::Add(Nanoseconds duration) {
 void LatencyTracker::Commanded(TriggerId trigger, HostTime edge, HostTime now) {
   std::lock_guard lock(mutex_);
   Of(CaptureLatency::kEdgeToCommand).Add(now - edge);
-  triggers_[Value(trigger)] = {edge, now, std::nullopt};
-  if (triggers_.size() > kMaxTriggers) triggers_.erase(triggers_.begin());
+  Times& times = triggers_[Value(trigger)];
+  times.edge = edge;
+  times.commanded = now;
+  if (times.arrived) Of(CaptureLatency::kCommandToFrame).Add(*times.arrived - now);
+  Bound();
 }
 
 void LatencyTracker::FrameArrived(TriggerId trigger, HostTime now) {
   std::lock_guard lock(mutex_);
   last_frame_ = now;
-  const auto found = triggers_.find(Value(trigger));
-  if (found == triggers_.end() || found->second.arrived) return;
-  found->second.arrived = now;
-  Of(CaptureLatency::kCommandToFrame).Add(now - found->second.commanded);
+  // A quick frame may be here before the command that asked for it has returned.
+  Times& times = triggers_[Value(trigger)];
+  if (times.arrived) return;
+  times.arrived = now;
+  if (times.commanded) Of(CaptureLatency::kCommandToFrame).Add(now - *times.commanded);
+  Bound();
+}
+
+void LatencyTracker::Bound() {
+  if (triggers_.size() > kMaxTriggers) triggers_.erase(triggers_.begin());
 }
 
 void LatencyTracker::Durable(TriggerId trigger, PositionId position, bool usable, HostTime now) {
@@ -48,7 +57,7 @@ void LatencyTracker::Durable(TriggerId trigger, PositionId position, bool usable
   if (found == triggers_.end()) return;
   const Times times = found->second;
   triggers_.erase(found);
-  if (!usable) return;
+  if (!usable || !times.commanded) return;
   if (times.arrived) Of(CaptureLatency::kFrameToDurable).Add(now - *times.arrived);
   positions_.try_emplace(Value(position), times.edge);
   if (positions_.size() > kMaxPositions) positions_.erase(positions_.begin());

@@ -56,9 +56,10 @@ class LatencyTracker {
  private:
   struct Times {
     HostTime edge;
-    HostTime commanded;
+    std::optional<HostTime> commanded;
     std::optional<HostTime> arrived;
   };
+  void Bound();
   LatencyCounts& Of(CaptureLatency latency) { return counts_[static_cast<std::size_t>(latency)]; }
 
   mutable std::mutex mutex_;

@@ -178,7 +178,10 @@ class Trial {
   static CameraTrialStep Passed(std::string detail) { return {"", true, std::move(detail)}; }
   static CameraTrialStep Failed(std::string detail) { return {"", false, std::move(detail)}; }
 
+  // One that the camera can make.
   ExposureTime Clamped(double seconds) const {
+    const double quantum_s = info_.exposure_quantum_s;
+    if (quantum_s > 0.0) seconds = std::round(seconds / quantum_s) * quantum_s;
     return std::clamp(ExposureTime::Seconds(seconds), info_.shortest, info_.longest);
   }
   ExposureRequest Request(ExposureTime time) {

@@ -38,6 +38,18 @@ TEST(LatencyTracker, EachStageOfATriggerIsCountedOnce) {
   EXPECT_EQ(tracker.last_frame(), At(milliseconds(1500)));
 }
 
+TEST(LatencyTracker, AFrameThatIsThereBeforeItsCommandReturnsCounts) {
+  LatencyTracker tracker;
+  tracker.FrameArrived(TriggerId{7}, At(milliseconds(1001)));
+  tracker.Commanded(TriggerId{7}, At(milliseconds(1000)), At(milliseconds(1002)));
+  tracker.Durable(TriggerId{7}, PositionId{0}, true, At(milliseconds(1011)));
+  const CaptureLatencies counts = tracker.counts();
+  EXPECT_EQ(Of(counts, CaptureLatency::kEdgeToCommand).total, 1U);
+  EXPECT_EQ(Of(counts, CaptureLatency::kCommandToFrame).total, 1U);
+  EXPECT_EQ(Of(counts, CaptureLatency::kCommandToFrame).sum_s, 0.0);
+  EXPECT_NEAR(Of(counts, CaptureLatency::kFrameToDurable).sum_s, 0.010, 1e-9);
+}
+
 TEST(LatencyTracker, ALostFrameCountsAsCommandedOnly) {
   LatencyTracker tracker;
   tracker.Commanded(TriggerId{0}, At(seconds(1)), At(seconds(1)));
