@@ -114,7 +114,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   } else {
     session_info.created = IsoUtc(clock_.NowUtc());
     // The volume may have gone since the start.
-    if (const Status volume = CheckSurveyVolume(choice_.directory, config_.storage.allow_root);
+    if (const Status volume = CheckSurveyVolume(choice_.directory, config_.MayLieOnRoot());
         !volume) {
       return fault(volume.error());
     }

@@ -162,7 +162,7 @@ Status App::BeginNextSession(Session& current, FrameId first, const std::string&
     if (!camera_session_) return {};
     info = *camera_session_;
   }
-  OMNIHDR_TRY(CheckSurveyVolume(current.directory, config_.storage.allow_root));
+  OMNIHDR_TRY(CheckSurveyVolume(current.directory, config_.MayLieOnRoot()));
   OMNIHDR_TRY(current.store.Sync());
   OMNIHDR_ASSIGN(const std::filesystem::path directory,
                  NextSessionDirectory(current.directory, clock_.NowUtc()));

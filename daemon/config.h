@@ -256,6 +256,12 @@ struct DaemonConfig {
   ApiConfig api;
   LogConfig log;
   PipelineConfig pipeline;
+
+  // What is simulated or played back is no survey: it may lie anywhere.
+  bool MayLieOnRoot() const {
+    return storage.allow_root || camera.driver == CameraDriver::kSim ||
+           camera.driver == CameraDriver::kReplay;
+  }
 };
 
 // One thing that is wrong, as "file:line: key: value, expected ...".

@@ -40,7 +40,7 @@ Status Main(const Arguments& arguments) {
   InitLogging(config.log.level);
   OMNIHDR_ASSIGN(SessionChoice choice,
                  ChooseSession(config.session, arguments.session, SystemClock().NowUtc()));
-  OMNIHDR_TRY(CheckSurveyVolume(choice.directory, config.storage.allow_root));
+  OMNIHDR_TRY(CheckSurveyVolume(choice.directory, config.MayLieOnRoot()));
   App app(
       config, std::move(choice),
       [&config](const PartsContext& context) { return MakeConfiguredParts(config, context); },

@@ -472,8 +472,10 @@ TEST_P(CameraCompliance, AnUnpluggedCameraSaysSoAndWorksAgainAfterReopening) {
   for (int round = 0; round < 3; ++round) {
     ASSERT_TRUE(TriggerWhenReady(NextRequest(rig_.ladder.front())));
     rig_.unplug();
-    const Result<CameraFrame> gone = camera_->Receive(rig_.frame_timeout);
-    ASSERT_FALSE(gone);
+    Result<CameraFrame> gone = camera_->Receive(rig_.frame_timeout);
+    // Of a head of several cameras some may have given their pictures before they went.
+    if (gone && gone->status != FrameStatus::kOk) gone = camera_->Receive(rig_.frame_timeout);
+    ASSERT_FALSE(gone) << ToString(gone->status) << ": " << gone->detail;
     EXPECT_EQ(gone.error().kind, ErrorKind::kUnavailable);
     const Status trigger = camera_->Trigger(NextRequest(rig_.ladder.front()));
     ASSERT_FALSE(trigger);

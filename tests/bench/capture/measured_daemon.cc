@@ -111,6 +111,7 @@ MeasuredDaemon::MeasuredDaemon(const std::filesystem::path& directory, const Hea
       << emulators::EmulatedRig(6, size.width, size.rows, device_->options().bayer);
   std::ofstream(directory / "c.toml")
       << "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
+         "[storage]\nallow_root = true\n"
          "[camera]\ndriver = \"iidc\"\nreconnect_s = 0.2\n[camera.iidc]\nrig = \"head.toml\"\n"
          "[bracket]\nexposures_s = [0.001, 0.004, 0.016]\n"
          "[trigger]\nsource = \"gpio\"\narmed_at_start = true\n"

@@ -61,6 +61,7 @@ TEST_F(Storage, ALimitOfAReloadIsInForceWithinSeconds) {
 
 TEST_F(Storage, ASurveyVolumeThatIsRootIsAFaultWhenTheSessionWouldBegin) {
   config_.storage.allow_root = false;
+  config_.camera.driver = CameraDriver::kV4l2;  // as configured; the one used is a double
   config_.session.directory = "/no-such-omnihdr-directory";
   // As omnihdrd chooses where nothing stands in the way.
   SessionChoice choice{"/no-such-omnihdr-directory/s", false, false};
