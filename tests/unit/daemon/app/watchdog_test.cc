@@ -19,7 +19,6 @@ namespace {
 
 using std::chrono::milliseconds;
 using std::chrono::seconds;
-using ::testing::HasSubstr;
 
 class Watchdog : public testing_app::AppFixture {
  protected:
@@ -74,8 +73,11 @@ class Watchdog : public testing_app::AppFixture {
   }
   void IsStuck(const std::string& stage) {
     ASSERT_TRUE(InState("fault"));
-    EXPECT_THAT(Client().Get("/v1/status").value()["reason"].get<std::string>(),
-                HasSubstr(stage + " has made no progress"));
+    // On a busy machine another stage may be slow before it.
+    EXPECT_TRUE(StatusHolds([&](const auto& s) {
+      return s["reason"].template get<std::string>().find(stage + " has made no progress") !=
+             std::string::npos;
+    }));
     EXPECT_TRUE(Starves());
   }
   void GoesOn() {
