@@ -25,8 +25,11 @@ double WheelOdometer::Metres() const {
 }
 
 void WheelOdometer::Begin(HostTime time) {
-  std::lock_guard lock(mutex_);
-  track_.Add(time, Metres());
+  {
+    std::lock_guard lock(mutex_);
+    track_.Add(time, Metres());
+  }
+  Tell();
 }
 
 void WheelOdometer::Pulse(HostTime time, std::uint64_t lost_before, bool estimated) {
@@ -37,6 +40,10 @@ void WheelOdometer::Pulse(HostTime time, std::uint64_t lost_before, bool estimat
     if (estimated) estimated_ += lost_before;
     track_.Add(time, Metres());
   }
+  Tell();
+}
+
+void WheelOdometer::Tell() {
   std::lock_guard lock(listener_mutex_);
   if (listener_) listener_();
 }

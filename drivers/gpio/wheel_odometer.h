@@ -20,7 +20,7 @@ class WheelOdometer final : public Odometer {
   // A pulse, `lost_before` others before it that were not seen and, if `estimated`, are only
   // inferred from the train's rate: all count as way.
   void Pulse(HostTime time, std::uint64_t lost_before, bool estimated);
-  // The line works from now on.
+  // The line works from now on: the first reading, or one more of the same place.
   void Begin(HostTime time);
 
   std::optional<double> OdometerMetres(HostTime at) const override;
@@ -33,6 +33,7 @@ class WheelOdometer final : public Odometer {
 
  private:
   double Metres() const;
+  void Tell();  // not with mutex_ held
 
   const double pulses_per_metre_;
   const double start_m_;
