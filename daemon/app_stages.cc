@@ -170,7 +170,7 @@ Status App::RunRecorder(std::stop_token stop, Stage& self) {
     self.Progress();
     WatchStorage();
     const bool last = stop.stop_requested() && turn == Recorder::Turn::kIdle;
-    const Status synced = SyncIfDue(last);
+    Status synced = SyncIfDue(last);
     if (stop.stop_requested()) {
       if (last) return synced;
       if (!give_up) give_up = clock_.Now() + seconds(10);

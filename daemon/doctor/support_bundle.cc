@@ -1,10 +1,10 @@
 #include "daemon/doctor/support_bundle.h"
 
 #include <fmt/chrono.h>
-#include <stdlib.h>
 #include <sys/utsname.h>
 
 #include <algorithm>
+#include <cstdlib>
 #include <fstream>
 #include <functional>
 #include <nlohmann/json.hpp>

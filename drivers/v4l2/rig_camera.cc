@@ -296,12 +296,12 @@ void V4l2RigCamera::CommandMembers() {
       if (slot.state != Slot::State::kToCommand) continue;
       // Asked before it is commanded: one that leaves in between is found by the difference.
       slot.life = members_[i]->state().life;
-      Status commanded = members_[i]->Trigger(set.request);
+      const Status commanded = members_[i]->Trigger(set.request);
       if (commanded) {
         slot.state = Slot::State::kCommanded;
         continue;
       }
-      slot.why = std::move(commanded).error().message;
+      slot.why = commanded.error().message;
       // A later trigger does not overtake this one.
       if (commanded.error().kind == ErrorKind::kTemporary) break;
       slot.state = Slot::State::kMissing;

@@ -298,8 +298,7 @@ Status V4l2Camera::CommandNext(const ExposureRequest& request, const Filled& fil
   if (!next_) {
     std::optional<ExposureRequest> taken = handover_.Take(Nanoseconds(0), stop);
     if (!taken) return {};
-    next_.emplace();
-    next_->request = *taken;
+    next_ = Next{*taken, false, 0, {}, {}};
   }
   if (next_->written || next_->request.exposure == request.exposure || !set_ ||
       camera_->exposure->MovesBlanking(next_->request.exposure)) {
