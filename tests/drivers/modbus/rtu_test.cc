@@ -113,7 +113,7 @@ class ModbusRtu : public ::testing::Test {
     });
   }
 
-  const SystemClock clock_;
+  SystemClock clock_;
   std::mutex mutex_;
   std::vector<ApplianceCommand> commands_;
   std::unique_ptr<modbus::StatusServer> server_;

@@ -98,7 +98,7 @@ class RigCameraTest : public ::testing::Test {
     }
   }
 
-  const SystemClock clock_;
+  SystemClock clock_;
   const testing::TemporaryDirectory folder_;
   std::vector<std::shared_ptr<V4l2CameraModel>> models_;
   v4l2::V4l2CameraOptions options_;

@@ -165,8 +165,8 @@ TEST_F(Export, AnOpenSfmReconstructionProjectsWorldPointsToWhereItsPicturesShowT
     const auto picture = ReadImage(Path("out/images/" + name));
     ASSERT_TRUE(picture) << picture.error().message;
     const auto& pixels = std::get<Image<std::uint8_t>>(picture->pixels);
-    const auto vector = [&shot](const char* key) {
-      return Eigen::Vector3d(shot.at(key).at(0), shot.at(key).at(1), shot.at(key).at(2));
+    const auto vector = [&from = shot](const char* key) {
+      return Eigen::Vector3d(from.at(key).at(0), from.at(key).at(1), from.at(key).at(2));
     };
     const Eigen::Vector3d r = vector("rotation");
     const Eigen::AngleAxisd turn(
