@@ -115,6 +115,13 @@ void CheckVolume(Examination& e, const fs::path& directory, const DiskSpace& spa
     return;
   }
   const Result<DiskSpace> root = e.machine.space(e.machine.root);
+  if (root && root->device == space.device && !e.config.MayLieOnRoot()) {
+    e.Problem("storage-volume",
+              fmt::format("{} is on the root file system: omnihdrd refuses to begin a survey there",
+                          directory.string()),
+              own + ", or allow it: storage.allow_root = true");
+    return;
+  }
   if (root && root->device == space.device) {
     e.Warning("storage-volume",
               fmt::format("{} is on the root file system: a survey that fills it stops the "

@@ -361,6 +361,12 @@ TEST_F(Doctor, TheVolumeIsOneOfItsOwnAndKeepsWhatItIsGiven) {
   root_device_ = 2;
   EXPECT_THAT(Examine(),
               Warning("storage-volume", "on the root file system", "mount a volume of its own"));
+  PutVideo();  // a real camera
+  EXPECT_THAT(Examine(),
+              Problem("storage-volume", "refuses to begin", "storage.allow_root = true"));
+  PutVideo("[storage]\nallow_root = true\n");
+  EXPECT_THAT(Examine(),
+              Warning("storage-volume", "on the root file system", "mount a volume of its own"));
   root_device_ = 1;
   const auto mount = [&](const std::string& type, const std::string& options) {
     Put("/proc/self/mounts", fmt::format("/dev/sda1 / ext4 rw 0 0\n/dev/sdb1 {} {} {} 0 0\n",
