@@ -28,6 +28,7 @@ using Json = nlohmann::ordered_json;
 
 struct CameraArguments {
   std::string config{kDefaultConfigFile};
+  std::string device;  // instead of the configuration's
   bool json = false;
   double exposure_s = 0.01;
   double gain_db = 0.0;
@@ -110,9 +111,28 @@ struct OpenCamera {
   DaemonConfig config;
 };
 
+// The configuration, with the camera that --device names.
+Result<DaemonConfig> ConfigOf(const CameraArguments& arguments) {
+  OMNIHDR_ASSIGN(DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
+  if (arguments.device.empty()) return config;
+  CameraConfig& camera = config.camera;
+  if (camera.driver == CameraDriver::kIidc) {
+    camera.iidc.id = arguments.device;
+    return config;
+  }
+  if (camera.driver == CameraDriver::kV4l2 && camera.v4l2.devices.empty()) {
+    camera.v4l2.device = arguments.device;
+    return config;
+  }
+  return Fail(ErrorKind::kUsage,
+              "--device {}: expected a configuration with camera.driver \"iidc\" or \"v4l2\" and "
+              "no camera.v4l2.devices",
+              arguments.device);
+}
+
 Result<OpenCamera> Open(const CameraArguments& arguments) {
   OpenCamera open;
-  OMNIHDR_ASSIGN(open.config, ConfigOrError(LoadConfig(arguments.config)));
+  OMNIHDR_ASSIGN(open.config, ConfigOf(arguments));
   CameraOptions options = MakeCameraOptions(open.config);
   if (!arguments.replay.empty()) {
     OMNIHDR_ASSIGN(open.camera, MakeReplayedCamera(options, arguments.replay));
@@ -269,7 +289,7 @@ Status ListSettings(const CameraArguments& arguments,
 }
 
 Result<int> Set(const CameraArguments& arguments) {
-  OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
+  OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOf(arguments));
   std::vector<std::pair<std::string, std::string>> wanted;
   for (const std::string& word : arguments.settings) {
     const std::size_t equals = word.find('=');
@@ -325,6 +345,9 @@ void AddCameraCommand(CLI::App& app, CommandRun& run) {
       sub->add_option("--config", arguments->config,
                       "Configuration whose camera it is; no daemon may have it open")
           ->capture_default_str();
+      sub->add_option("--device", arguments->device,
+                      "Another camera than the configuration's, as the list calls it: GUID or "
+                      "serial number (IIDC); path, name or serial number (V4L2)");
     }
     sub->callback([&run, arguments, function] { run = [=] { return function(*arguments); }; });
     return sub;
@@ -360,10 +383,12 @@ void AddCameraCommand(CLI::App& app, CommandRun& run) {
       ->check(CLI::Range(1, 100000))
       ->capture_default_str();
   grab->add_option("--out", arguments->out, "Folder for them as PNG, as the sensor delivers them");
-  CLI::App* test = add("test",
-                       "Starts and stops, an exposure ladder with proof, triggers as fast as they "
-                       "are taken; 1 when something fails",
-                       Test, true);
+  CLI::App* test =
+      add("test",
+          "Starts and stops, an exposure ladder with proof, steps of the exposure that "
+          "pictures must show, triggers as fast as they are taken; 1 when something "
+          "fails",
+          Test, true);
   add_transport(test);
   test->add_option("--starts", arguments->trial.starts, "Times it is started and stopped")
       ->check(CLI::Range(1, 1000))

@@ -18,6 +18,12 @@ constexpr Nanoseconds kAgain = std::chrono::milliseconds(2);
 constexpr double kDark = 0.02;
 constexpr double kBright = 0.95;
 constexpr double kLeastRise = 0.98;  // of the level, with a longer exposure
+// Between which levels a step of two stops shows, and which share of it must.
+constexpr double kUsableLow = 0.16;
+constexpr double kUsableHigh = 0.7;
+constexpr double kLeastFollowed = 0.3;  // codings with a gamma follow by half of it
+constexpr double kStepStops = 2.0;
+constexpr int kLatencySteps = 8;
 
 class Trial {
  public:
@@ -76,6 +82,7 @@ class Trial {
                                   which, level, last_level));
       }
       last_level = level;
+      if (level >= kUsableLow && level <= kUsableHigh) usable_ = time;
       worst = std::max(worst, off);
       slowest_s = std::max(slowest_s, latency_s - time.seconds());
       levels += fmt::format("{}{:.3f}", levels.empty() ? "" : " ", level);
@@ -86,6 +93,50 @@ class Trial {
         "picture at most {:.0f} ms after its exposure",
         options_.exposures, least, most, ToString(*weakest), 100.0 * worst, levels,
         1e3 * slowest_s));
+  }
+
+  // Exposures two stops apart in turn: each picture must be of its own trigger's exposure, which
+  // its brightness tells without the driver's word. Where no exposure of the ladder shows the
+  // scene, only the time from trigger to picture is told.
+  CameraTrialStep Latency() {
+    const ExposureTime bright = usable_.value_or(Clamped(0.01));
+    const ExposureTime dark = Clamped(bright.seconds() / std::exp2(kStepStops));
+    const double stops = std::log2(bright.seconds() / dark.seconds());
+    double quickest_s = 0.0;
+    double slowest_s = 0.0;
+    double last_level = 0.0;
+    for (int i = 0; i <= kLatencySteps; ++i) {
+      const ExposureTime time = i % 2 == 0 ? bright : dark;
+      const HostTime begin = clock_.Now();
+      const Result<CameraFrame> frame = Take(time);
+      const double took_s =
+          static_cast<double>((clock_.Now() - begin).count()) * 1e-9 - time.seconds();
+      const std::string which = fmt::format("step {} to {:.4g} s", i, time.seconds());
+      if (!frame) return Failed(fmt::format("{}: {}", which, frame.error().message));
+      if (frame->status != FrameStatus::kOk) {
+        return Failed(fmt::format("{}: {}: {}", which, ToString(frame->status), frame->detail));
+      }
+      const double level = MeanLevel(*frame, info_.description.bits);
+      if (usable_ && i > 0 && stops >= 1.0) {
+        const double moved = std::log2(std::max(level, 1e-6) / std::max(last_level, 1e-6));
+        if (moved / (i % 2 == 0 ? stops : -stops) < kLeastFollowed) {
+          return Failed(
+              fmt::format("{}: level {:.3f} after {:.3f}, expected a step of {:.1f} stops", which,
+                          level, last_level, i % 2 == 0 ? stops : -stops));
+        }
+      }
+      last_level = level;
+      quickest_s = i == 0 ? took_s : std::min(quickest_s, took_s);
+      slowest_s = std::max(slowest_s, took_s);
+    }
+    return Passed(fmt::format(
+        "{}; picture {:.0f} to {:.0f} ms after its trigger, less its exposure; a setting acts "
+        "after {} frames",
+        usable_ && stops >= 1.0
+            ? fmt::format("{} steps of {:.1f} stops, each seen in the first picture after it",
+                          kLatencySteps, stops)
+            : fmt::format("the scene shows no step at {:.4g} s", bright.seconds()),
+        1e3 * quickest_s, 1e3 * slowest_s, info_.exposure_latency_frames));
   }
 
   // Every accepted trigger must end as one frame, or as a gap in the camera's own counter.
@@ -210,6 +261,7 @@ class Trial {
   CameraInfo info_;
   const CameraTrialOptions& options_;
   const SystemClock clock_;
+  std::optional<ExposureTime> usable_;  // of the ladder: shows the scene, not clipped
   std::uint64_t next_trigger_ = 0;
 };
 
@@ -254,6 +306,7 @@ std::vector<CameraTrialStep> RunCameraTrial(
   };
   bool goes_on = add("start and stop", trial.Starts());
   goes_on = goes_on && add("exposures", trial.Ladder());
+  goes_on = goes_on && add("latency", trial.Latency());
   goes_on = goes_on && add("triggers", trial.Accounting());
   if (goes_on && options.ask) add("unplug", trial.Unplug());
   camera.Stop();

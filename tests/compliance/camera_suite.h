@@ -35,7 +35,7 @@ struct RigFactory {
 // For readable test names.
 inline void PrintTo(const RigFactory& factory, std::ostream* out) { *out << factory.name; }
 
-// Every camera of the build.
+// The cameras that take the suite in this program (rigs_test.cc, tests/kernel/compliance_rigs.cc).
 std::vector<RigFactory> AllRigs();
 
 }  // namespace omnihdr::compliance

@@ -25,6 +25,7 @@ using emulators::UvcDeviceOptions;
 using integration::Eventually;
 using integration::RunOmnihdr;
 using nlohmann::json;
+using ::testing::HasSubstr;
 
 class CameraTool : public ::testing::Test {
  protected:
@@ -96,8 +97,42 @@ TEST_F(CameraTool, BothCamerasAreListedOnceAndAnswerWhatTheyAreAskedFor) {
   const json steps =
       Ask({"test", "--starts", "3", "--exposures", "4", "--longest", "0.04", "--triggers", "5"},
           "iidc.toml");
-  ASSERT_EQ(steps.size(), 3U) << steps;
+  ASSERT_EQ(steps.size(), 4U) << steps;
   for (const json& step : steps) EXPECT_EQ(step["passed"], true) << step;
+}
+
+// The whole of it, as somebody at a bench does it who unplugs the camera when asked.
+TEST_F(CameraTool, TheWebcamPassesTheWholeTestAndIsUnpluggedWhenAsked) {
+  ASSERT_TRUE(Eventually([&] { return Ask({"list"}).size() == 2; }));
+  integration::Program tool("omnihdr",
+                            {"camera", "test", "--config", path("v4l2.toml"), "--device",
+                             webcam_->options().serial, "--longest", "0.05", "--unplug"},
+                            path("log"));
+  const auto asks = [&](const char* what) {
+    return Eventually([&] { return !tool.running() || tool.Log().find(what) != std::string::npos; },
+                      std::chrono::seconds(300));
+  };
+  ASSERT_TRUE(asks(">>> unplug the camera now")) << tool.Log();
+  webcam_plug_.Unplug();
+  ASSERT_TRUE(asks(">>> plug the camera in again now")) << tool.Log();
+  webcam_plug_.PlugIn();
+  EXPECT_EQ(tool.Wait(), 0) << tool.Log();
+  const std::string log = tool.Log();
+  EXPECT_THAT(log, HasSubstr("started and stopped 50 times"));
+  EXPECT_THAT(log, HasSubstr("5 exposures from 0.0001 to 0.05 s, proof latency, off by 0.00 %"));
+  EXPECT_THAT(log, HasSubstr("8 steps of 2.0 stops, each seen in the first picture after it"));
+  EXPECT_THAT(log, HasSubstr("20 triggers, 20 frames in order, 0 lost by the camera's counter"));
+  EXPECT_THAT(log, HasSubstr("gone, said so, and back with a picture"));
+}
+
+// Frames are taken for those of an exposure that is not in force yet.
+TEST_F(CameraTool, AWebcamWhoseLatencyIsGivenTooShortFailsTheTest) {
+  std::ofstream(path("v4l2.toml"), std::ios::app) << "latency_frames = 1\n";
+  ASSERT_TRUE(Eventually([&] { return Ask({"list"}).size() == 2; }));
+  const auto [code, output] = RunOmnihdr(
+      {"camera", "test", "--config", path("v4l2.toml"), "--starts", "1"}, folder_.path());
+  EXPECT_EQ(code, 1) << output;
+  EXPECT_THAT(output, HasSubstr("exposures       FAILED"));
 }
 
 }  // namespace

@@ -78,8 +78,67 @@ TEST_F(CameraCommand, AGoodCameraPassesTheTest) {
   ASSERT_TRUE(code) << code.error().message;
   EXPECT_EQ(*code, 0) << printed_;
   const auto steps = nlohmann::json::parse(printed_);
+  ASSERT_EQ(steps.size(), 4U);
+  EXPECT_THAT(steps[2]["detail"].get<std::string>(), HasSubstr("8 steps of 2.0 stops"));
+  EXPECT_THAT(steps[3]["detail"].get<std::string>(), HasSubstr("6 triggers, 6 frames in order"));
+}
+
+// A camera whose pictures have the exposure of the trigger before, and which says that they have
+// the one that was asked for.
+class LateCamera final : public Camera {
+ public:
+  static CameraInfo Info() {
+    CameraInfo info;
+    info.description.bits = 8;
+    info.shortest = ExposureTime::Seconds(1e-4);
+    info.longest = ExposureTime::Seconds(0.02);
+    return info;
+  }
+  Result<CameraInfo> Open() override { return Info(); }
+  void Close() override {}
+  Status Start() override { return {}; }
+  void Stop() override {}
+  Status Trigger(const ExposureRequest& request) override {
+    before_ = std::exchange(now_, request);
+    return {};
+  }
+  Result<CameraFrame> Receive(Nanoseconds) override {
+    CameraFrame frame;
+    frame.trigger = now_.trigger;
+    frame.camera_counter = Value(now_.trigger);
+    frame.measured_exposure = now_.exposure;
+    frame.proof = ExposureProof::kReadback;
+    Image<std::uint8_t> pixels(4, 4);
+    const double level = std::min(1.0, before_.exposure.time.seconds() / 0.009);
+    for (auto& value : pixels.values()) value = static_cast<std::uint8_t>(255.0 * level);
+    frame.pixels = std::move(pixels);
+    return frame;
+  }
+
+ private:
+  ExposureRequest before_;
+  ExposureRequest now_;
+};
+
+TEST(CameraTrial, ACameraWhosePicturesAreOneStepLateIsFoundOutByTheirBrightness) {
+  LateCamera camera;
+  CameraTrialOptions options;
+  options.starts = 1;
+  options.exposures = 20;
+  const auto steps =
+      RunCameraTrial(camera, LateCamera::Info(), options, [](const CameraTrialStep&) {});
   ASSERT_EQ(steps.size(), 3U);
-  EXPECT_THAT(steps[2]["detail"].get<std::string>(), HasSubstr("6 triggers, 6 frames in order"));
+  EXPECT_TRUE(steps[1].passed) << steps[1].detail;
+  EXPECT_EQ(steps[2].name, "latency");
+  EXPECT_FALSE(steps[2].passed) << steps[2].detail;
+  EXPECT_THAT(steps[2].detail, HasSubstr("expected a step of -2.0 stops"));
+}
+
+TEST_F(CameraCommand, AnotherDeviceThanTheConfigurationsIsRefusedWhereTheDriverHasNone) {
+  const Result<int> code = Run({"info", "--device", "/dev/video0"});
+  ASSERT_FALSE(code);
+  EXPECT_EQ(code.error().kind, ErrorKind::kUsage);
+  EXPECT_THAT(code.error().message, HasSubstr("--device /dev/video0: expected a configuration"));
 }
 
 TEST_F(CameraCommand, ACameraWithWrongExposuresFailsItByName) {
