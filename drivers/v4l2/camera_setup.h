@@ -20,8 +20,8 @@
 namespace omnihdr::v4l2 {
 
 struct V4l2CameraOptions {
-  // Which camera: the path of its node, its name in /dev/v4l/by-id or by-path, or the serial number
-  // of its USB device; empty = the only one there.
+  // Which camera: the path of its node, its name in /dev/v4l/by-id or by-path (with or without the
+  // folder), or the serial number of its USB device; empty = the only one there.
   std::string device;
   // Several cameras as one rig: one for each sensor of the rig file, in its order, each named as
   // above (drivers/v4l2/rig_camera.h). Empty = `device` alone.

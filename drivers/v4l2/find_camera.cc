@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstring>
 #include <optional>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -46,9 +47,13 @@ Result<std::optional<FoundCamera>> Identify(V4l2System& system, const V4l2Node& 
   return std::optional<FoundCamera>(std::move(found));
 }
 
-bool IsCalled(const V4l2Node& node, const std::string& name) {
-  return name == node.path || name == node.serial ||
-         std::find(node.names.begin(), node.names.end(), name) != node.names.end();
+// A name that udev gives may stand with its folder.
+bool IsCalled(const V4l2Node& node, std::string_view name) {
+  if (name == node.path || name == node.serial) return true;
+  for (const std::string_view folder : {"/dev/v4l/by-id/", "/dev/v4l/by-path/"}) {
+    if (name.starts_with(folder)) name.remove_prefix(folder.size());
+  }
+  return std::find(node.names.begin(), node.names.end(), name) != node.names.end();
 }
 
 }  // namespace

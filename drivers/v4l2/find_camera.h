@@ -27,7 +27,8 @@ struct ListedCamera {
 // By number. Nodes that are no camera, such as those of metadata, are left out.
 std::vector<ListedCamera> ListCameras(V4l2System& system);
 
-// The camera of that path, name or serial number; "" = the only one there. kUnavailable: there is
+// The camera of that path (/dev/video0), name in /dev/v4l/by-id or by-path (with or without the
+// folder) or serial number; "" = the only one there. kUnavailable: there is
 // none, or more than one; the message names what is there.
 Result<FoundCamera> FindCamera(V4l2System& system, const std::string& name);
 

@@ -1,14 +1,18 @@
 #include "tests/emulators/iidc_usb_function.h"
 
+#include <fmt/format.h>
+
+#include <utility>
+
 namespace omnihdr::emulators {
 namespace {
 
 using Answer = DeviceAnswer;
 
-// Device, configuration, one interface with a bulk endpoint 0x81.
+// Device with three strings, configuration, one interface with a bulk endpoint 0x81.
 // clang-format off
 constexpr std::uint8_t kDescriptors[] = {
-    18, 1, 0x00, 0x02, 0, 0, 0, 64, 0x10, 0x1E, 0x04, 0x20, 0x00, 0x01, 0, 0, 0, 1,
+    18, 1, 0x00, 0x02, 0, 0, 0, 64, 0x10, 0x1E, 0x04, 0x20, 0x00, 0x01, 1, 2, 3, 1,
     9, 2, 25, 0, 1, 1, 0, 0x80, 250,
     9, 4, 0, 0, 1, 0xFF, 0, 0, 0,
     7, 5, IidcUsbFunction::kStreamEndpoint, 2, 0x00, 0x02, 0};
@@ -16,13 +20,17 @@ constexpr std::uint8_t kDescriptors[] = {
 
 }  // namespace
 
+IidcUsbFunction::IidcUsbFunction(std::shared_ptr<IidcDevice> device)
+    : device_(std::move(device)),
+      strings_({"Emulators", "Test Head", fmt::format("{:08X}", device_->options().serial)}) {}
+
 std::span<const std::uint8_t> IidcUsbFunction::Descriptors() { return kDescriptors; }
 
 Answer IidcUsbFunction::Control(const Setup& setup, std::vector<std::uint8_t>& data) {
   if (!device_->plugged_in()) return Answer::kGone;
   switch (setup[0] & 0x60) {
     case 0x00:
-      return AnswerStandardRequest(setup, kDescriptors, {}, data);
+      return AnswerStandardRequest(setup, kDescriptors, strings_, data);
     case 0x40:
       return Register(setup, data);
     default:

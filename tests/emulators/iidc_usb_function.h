@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
-#include <utility>
+#include <string>
 #include <vector>
 
 #include "tests/emulators/iidc_device.h"
@@ -18,7 +18,7 @@ class IidcUsbFunction final : public UsbFunction {
  public:
   static constexpr std::uint8_t kStreamEndpoint = 0x81;
 
-  explicit IidcUsbFunction(std::shared_ptr<IidcDevice> device) : device_(std::move(device)) {}
+  explicit IidcUsbFunction(std::shared_ptr<IidcDevice> device);
 
   // Device descriptor, then configuration, interface and endpoint.
   static std::span<const std::uint8_t> Descriptors();
@@ -34,6 +34,7 @@ class IidcUsbFunction final : public UsbFunction {
  private:
   DeviceAnswer Register(const Setup& setup, std::vector<std::uint8_t>& data);
   const std::shared_ptr<IidcDevice> device_;
+  const std::vector<std::string> strings_;  // maker, product, serial number in hexadecimal
 };
 
 }  // namespace omnihdr::emulators

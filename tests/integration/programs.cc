@@ -27,7 +27,8 @@ std::string Slurp(const std::filesystem::path& path) {
 Program::Program(const std::string& name, const std::vector<std::string>& arguments,
                  std::filesystem::path log, const std::vector<std::string>& environment)
     : log_(std::move(log)) {
-  std::vector<std::string> words = {std::string(OMNIHDR_BINARY_DIR) + "/bin/" + name};
+  std::vector<std::string> words = {
+      (std::filesystem::path(OMNIHDR_BINARY_DIR) / "bin" / name).string()};
   words.insert(words.end(), arguments.begin(), arguments.end());
   std::vector<std::string> variables = environment;
   for (char** variable = environ; *variable != nullptr; ++variable) {

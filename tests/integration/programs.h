@@ -12,7 +12,8 @@
 
 namespace omnihdr::integration {
 
-// One of our programs ("omnihdrd", "omnihdr") as a child process; killed by the destructor.
+// One of our programs ("omnihdrd", "omnihdr"), or any by its absolute path, as a child process;
+// killed by the destructor.
 class Program {
  public:
   // Standard output and error go to `log`, appended. `environment` is added to ours ("NAME=value").

@@ -269,6 +269,7 @@ class Service(unittest.TestCase):
                 nodes = [node.stat() for node in pathlib.Path("/dev/bus/usb").glob("*/*")
                          if grp.getgrgid(node.stat().st_gid).gr_name == "plugdev"]
                 self.assertEqual([oct(stat.S_IMODE(facts.st_mode)) for facts in nodes], ["0o660"])
+                self.assertEqual([link.name for link in pathlib.Path("/dev/omnihdr").iterdir()], ["camera-00C0FFEE"])
             finally:
                 camera.kill()
         self.assertTrue(eventually(lambda: status().get("camera", {}).get("ready") is False), log())

@@ -414,7 +414,8 @@ TEST_F(V4l2CameraTest, IsFoundByPathNameAndSerialAmongOthers) {
   other.serial = "0002";
   Plug({});
   const auto second = std::make_shared<V4l2CameraModel>(other, clock);
-  for (const char* device : {"/dev/video0", "usb-Other-video-index0", "0002", "", "0003"}) {
+  for (const char* device : {"/dev/video0", "usb-Other-video-index0", "0002", "",
+                             "/dev/v4l/by-id/usb-Other-video-index0", "0003"}) {
     v4l2::V4l2CameraOptions options = emulated_->CameraOptions();
     options.device = device;
     options.latency_frames = 2;
