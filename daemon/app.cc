@@ -124,6 +124,7 @@ Status App::ResumeSession() {
     positions.insert(Value(record.position));
     if (record.status == FrameStatus::kOk) with_pixels.insert(Value(record.position));
     if (record.odometer_m) last_odometer_m_ = record.odometer_m;
+    last_retakes_ = record.retakes;
   }
   journaled_ = writer.next_frame();
   durable_bytes_ = writer.durable_bytes();
@@ -158,7 +159,10 @@ Status App::ResumeSession() {
     ended_ = true;
     end_reason_ = "the session has ended";
     finish_views_ = true;
-    state_.Update([&](CaptureConditions& c) { c.idle = end_reason_; });
+    state_.Update([&](CaptureConditions& c) {
+      c.idle = end_reason_;
+      c.ended = true;
+    });
   }
   return {};
 }
@@ -172,12 +176,13 @@ Status App::MakeController() {
   options.frame_timeout = Nanoseconds(std::llround(config_.camera.frame_timeout_s * 1e9));
   options.tolerance.relative = config_.camera.exposure_tolerance;
   options.retake = config_.bracket.retake;
+  options.retakes = last_retakes_;
   options.burst = config_.trigger.burst;
   controller_ = std::make_unique<CaptureController>(
       std::move(plan), session_ ? session_->info.camera : CameraDescription{}, options,
       TriggerId{journaled_}, recorder_,
       [this](const ExposureRequest& request) { return CommandCamera(request); },
-      parts_.positions.get(), clock_, parts_.place.get());
+      parts_.positions.get(), clock_, parts_.place.get(), &utc_);
   return {};
 }
 

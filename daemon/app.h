@@ -39,6 +39,7 @@
 #include "daemon/session_choice.h"
 #include "daemon/session_rotation.h"
 #include "daemon/supervisor.h"
+#include "daemon/system_utc.h"
 #include "daemon/watchdog.h"
 
 namespace omnihdr {
@@ -233,6 +234,7 @@ class App final : public ApiBackend {
   const ReadConfig read_config_;
   AppParts parts_;
   const SystemClock clock_;
+  const SystemUtc utc_;
   const HostTime started_ = clock_.Now();
   ServiceNotifier notifier_;
   EventHub hub_;
@@ -281,6 +283,7 @@ class App final : public ApiBackend {
   bool source_running_ = false;
   int watched_fd_ = -1;
   std::uint64_t ignored_triggers_ = 0;
+  HostTime last_trigger_;
   std::string end_reason_;
   HostTime stop_deadline_;
   Status outcome_;
@@ -294,7 +297,9 @@ class App final : public ApiBackend {
   Nanoseconds supervise_interval_ = std::chrono::seconds(1);
   std::atomic<bool> stopping_ = false;
   std::optional<double> last_odometer_m_;  // of the session that is continued
+  std::uint64_t last_retakes_ = 0;         // likewise
   std::uint64_t rearmed_ = 0;
+  std::uint64_t clock_jumps_ = 0;  // as last logged
   std::string last_fault_;
   struct LinkLog {
     std::string problem;  // as last logged

@@ -20,6 +20,8 @@ constexpr auto kApiDeadline = seconds(2);
 constexpr int kTriggersAtOnce = 64;
 // More than any source keeps waiting.
 constexpr int kMostDrained = 2048;
+// After a trigger the state is "capturing" for so long.
+constexpr auto kCapturingHold = seconds(2);
 
 }  // namespace
 
@@ -28,8 +30,11 @@ constexpr int kMostDrained = 2048;
 void App::OnStateChanged(const StateReport& report) {
   const std::string text = fmt::format("{}: {}", ToString(report.state), report.reason);
   notifier_.StatusText(text);
-  hub_.Publish({{"event", "state"}, {"state", ToString(report.state)}, {"reason", report.reason}});
-  spdlog::debug("state {}", text);
+  hub_.Publish({{"event", "state"},
+                {"state", ToString(report.state)},
+                {"reason", report.reason},
+                {"remedy", report.remedy}});
+  spdlog::debug("state {}; {}", text, report.remedy);
   ShowSoon();
 }
 
@@ -50,7 +55,7 @@ void App::ScheduleCaptureTimer() {
   }
 }
 
-// Edges but no frames: the camera is opened anew.
+// Edges but no frames: the camera is opened anew. And what its clock has done.
 void App::CheckFrameless() {
   const auto most = static_cast<std::uint64_t>(config_.trigger.rearm_after);
   const std::uint64_t frameless = controller_->frameless();
@@ -58,6 +63,12 @@ void App::CheckFrameless() {
       runner_->Rearm(fmt::format("{} triggers in a row gave no frame: opened anew", frameless))) {
     ++rearmed_;
     hub_.Publish({{"event", "camera"}, {"what", "rearmed"}, {"triggers", frameless}});
+  }
+  const std::uint64_t jumps = controller_->counts().clock_jumps;
+  if (jumps > clock_jumps_) {
+    spdlog::warn("camera: its clock has jumped ({} times so far): fitted anew", jumps);
+    hub_.Publish({{"event", "clock"}, {"what", "jumped"}, {"jumps", jumps}});
+    clock_jumps_ = jumps;
   }
 }
 
@@ -80,6 +91,8 @@ Result<AcceptedTrigger> App::HandleTrigger(const TriggerEvent& event) {
                          {"exposure_s", accepted->exposure.time.seconds()}};
   if (accepted->odometer_m) json["odometer_m"] = *accepted->odometer_m;
   hub_.Publish(json);
+  last_trigger_ = clock_.Now();
+  state_.Update([](CaptureConditions& c) { c.capturing = true; });
   ShowSoon();
   return accepted;
 }
@@ -193,6 +206,7 @@ void App::EndSession(const std::string& reason, bool exit_after) {
   state_.Update([&](CaptureConditions& c) {
     c.armed = false;
     c.idle = fmt::format("{}: finishing the views", reason);
+    c.ended = true;
     if (exit_after_end_) c.stopping = c.idle;
   });
   hub_.Publish({{"event", "session"}, {"what", "ending"}, {"reason", reason}});
@@ -269,6 +283,9 @@ void App::CheckDrained() {
 void App::Supervise() {
   supervise_timer_->Set(clock_.Now() + supervise_interval_);
   CheckLinks();
+  if (clock_.Now() - last_trigger_ > kCapturingHold && controller_->open_triggers() == 0) {
+    state_.Update([](CaptureConditions& c) { c.capturing = false; });
+  }
   ShowStatus();
   for (const auto* stage : {&camera_stage_, &recorder_stage_, &pipeline_stage_}) {
     if (!*stage || !(*stage)->finished() || phase_ == Phase::kStopping) continue;
@@ -381,6 +398,7 @@ StatusReport App::BuildStatus() const {
   s.reload_error = reload_error_;
   s.restart_needed = restart_needed_;
   s.camera_rearmed = rearmed_;
+  s.utc = utc_.Quality();
   const HostTime now = clock_.Now();
   s.latencies = latency_.counts();
   if (const auto frame = latency_.last_frame()) {
@@ -434,7 +452,10 @@ ApiReply App::DisarmNow() {
   DrainSource();
   StopSource();
   armed_ = false;
-  state_.Update([](CaptureConditions& c) { c.armed = false; });
+  state_.Update([](CaptureConditions& c) {
+    c.armed = false;
+    c.capturing = false;
+  });
   spdlog::info("disarmed");
   return {200, {{"armed", false}, {"state", ToString(state_.report().state)}}};
 }

@@ -44,6 +44,19 @@ std::string Difference(const CameraDescription& session, const CameraDescription
   return {};
 }
 
+// What the journal's times are by, beside what the camera has for session.json.
+std::string WithClock(const std::string& extra_json, const UtcQuality& utc) {
+  nlohmann::json extra = nlohmann::json::parse(extra_json, nullptr, false);
+  if (!extra.is_object()) extra = nlohmann::json::object();
+  extra["clock"] = {{"stamps", "CLOCK_MONOTONIC"},
+                    {"trigger_ns", "the event, as its source stamped it"},
+                    {"timestamp_ns", "middle of the exposure"},
+                    {"utc_ns", "CLOCK_REALTIME of trigger_ns"},
+                    {"time_scale", "UTC"}};
+  if (utc.tai_offset_s) extra["clock"]["tai_offset_s"] = *utc.tai_offset_s;
+  return extra.dump();
+}
+
 void Rest(std::stop_token stop, Nanoseconds time) {
   std::mutex mutex;
   std::condition_variable_any never;
@@ -95,7 +108,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   SessionInfo session_info;
   session_info.camera = info.description;
   session_info.response = info.response;
-  session_info.extra_json = info.extra_json;
+  session_info.extra_json = WithClock(info.extra_json, utc_.Quality());
   session_info.files = info.files;
   // Nobody asks a recorded frame for an exposure.
   if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();

@@ -89,6 +89,7 @@ void App::ShowStatus() {
   ApplianceStatus status;
   status.state = report.state;
   status.reason = report.reason;
+  status.remedy = report.remedy;
   status.armed = armed_;
   status.camera_ready = from.camera_ready;
   status.busy = controller_->open_triggers() > 0;

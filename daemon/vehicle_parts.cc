@@ -26,6 +26,7 @@ class VehiclePlace final : public PlaceSource {
   std::optional<GnssFix> Fix(HostTime at) const override {
     return gnss_ ? gnss_->Fix(at) : std::nullopt;
   }
+  bool has_receiver() const override { return gnss_ != nullptr; }
   std::optional<double> HeadingDeg(HostTime at) const override {
     std::optional<double> heading;
     if (vehicle_) heading = vehicle_->HeadingDeg(at);

@@ -18,6 +18,7 @@ enum class StorageLevel { kEnough, kWarning, kStop, kUnreadable };
 struct ApplianceStatus {
   CaptureState state = CaptureState::kStarting;
   std::string reason;  // why it is in that state
+  std::string remedy;  // what to do about it
   bool armed = false;
   bool camera_ready = false;
   bool busy = false;  // a picture is being taken

@@ -7,10 +7,15 @@
 #include <type_traits>
 #include <utility>
 
+#include "core/session/utc_text.h"
+
 namespace omnihdr {
 namespace {
 
 constexpr std::size_t kRecentLines = 16;
+constexpr const char* kFreeClock = "system-free";
+// Receivers report once a second or more often, at once.
+constexpr double kGnssReportDelayS = 1.0;
 
 // What is wrong with the pixels of a frame, empty when they are what the session's camera delivers.
 std::string PixelFault(const CameraFrame& frame, const CameraDescription& description) {
@@ -43,6 +48,18 @@ MissReason ReasonOf(ErrorKind refusal) {
   }
 }
 
+// A machine whose clock nobody keeps may be off by minutes; the receiver's time is at most one
+// report late.
+void UseGnssTime(FrameRecord& record, HostTime moment) {
+  if (!record.gnss || !record.gnss->age_s) return;
+  const std::optional<UtcTime> told = UtcFromText(record.gnss->time);
+  if (!told) return;
+  const auto age = Nanoseconds(std::llround(*record.gnss->age_s * 1e9));
+  record.utc = *told + (age - (moment - record.trigger_time));
+  record.utc_source = "gnss";
+  record.utc_error_s = kGnssReportDelayS;
+}
+
 }  // namespace
 
 std::string_view ToString(MissReason reason) {
@@ -67,16 +84,18 @@ CaptureController::CaptureController(BracketPlan plan, CameraDescription descrip
                                      const CaptureOptions& options, TriggerId next,
                                      CaptureSink& sink, CommandCamera command,
                                      const PositionSource* positions, const Clock& clock,
-                                     const PlaceSource* place)
+                                     const PlaceSource* place, const UtcReference* utc)
     : sink_(sink),
       command_(std::move(command)),
       positions_(positions),
       place_(place),
+      utc_(utc),
       clock_(clock),
       plan_(std::move(plan)),
       description_(std::move(description)),
       options_(options),
-      next_(next) {}
+      next_(next),
+      retakes_(std::min(options.retakes, Value(next))) {}
 
 void CaptureController::SetCamera(BracketPlan plan, CameraDescription description,
                                   const ExposureTolerance& tolerance) {
@@ -313,6 +332,8 @@ void CaptureController::OnFrame(CameraFrame frame) {
   }
   last_camera_counter_ = frame.camera_counter;
   frameless_ = 0;
+  if (frame.clock_jumps > camera_jumps_) counts_.clock_jumps += frame.clock_jumps - camera_jumps_;
+  camera_jumps_ = frame.clock_jumps;
 
   const TriggerId trigger = frame.trigger;
   const ExposureRequest* request = ledger_.FindOpen(trigger);
@@ -350,6 +371,7 @@ void CaptureController::OnFrame(CameraFrame frame) {
 void CaptureController::OnCameraLost(const std::string& reason) {
   std::lock_guard lock(mutex_);
   last_camera_counter_.reset();
+  camera_jumps_ = 0;
   frameless_ = 0;
   waiting_.clear();
   ledger_.FailOpen(FrameStatus::kCameraTimeout, fmt::format("the camera has gone: {}", reason));
@@ -377,9 +399,12 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
   CaptureLine line;
   FrameRecord& record = line.record;
   const ExposureRequest& request = outcome.request;
+  const Planned planned = planned_.front();
   planned_.pop_front();
   record.frame = FrameId{Value(request.trigger)};
   record.position = plan_.PositionForTrigger(request.trigger);
+  record.step = planned.step;
+  record.retakes = planned.retakes;
   record.exposure = request.exposure;
   record.trigger_time = request.trigger_time;
   record.timestamp = request.trigger_time;
@@ -387,10 +412,17 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
   record.status = outcome.status;
   record.detail = std::move(outcome.detail);
   record.utc = clock_.NowUtc() - (clock_.Now() - request.trigger_time);
+  if (utc_ != nullptr) {
+    const UtcQuality quality = utc_->Quality();
+    record.utc_source = quality.synchronised ? "system-synchronised" : kFreeClock;
+    record.utc_error_s = quality.error_s;
+  }
   line.holds_buffer = outcome.reserved_buffer;
   if (place_ != nullptr) {
     const HostTime moment = outcome.frame ? outcome.frame->mid_exposure : request.trigger_time;
     record.gnss = place_->Fix(moment);
+    record.gnss_missing = !record.gnss && place_->has_receiver();
+    if (record.utc_source == kFreeClock) UseGnssTime(record, moment);
     record.heading_deg = place_->HeadingDeg(moment);
   }
   if (outcome.frame) {
@@ -399,13 +431,20 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
         VerifyExposure(request.exposure, frame.measured_exposure, frame.proof, options_.tolerance);
     record.exposure = check.exposure;
     record.proof = frame.measured_exposure ? frame.proof : ExposureProof::kNone;
+    // Nobody asked a recorded frame for a step of this bracket.
+    if (record.proof == ExposureProof::kFile) record.step.reset();
     record.timestamp = frame.mid_exposure;
+    record.timestamp_error = frame.mid_exposure_error;
+    record.camera_time = frame.camera_time;
     record.temperature_c = frame.temperature_c;
     record.settings_readback_json = std::move(frame.settings_readback_json);
     record.truth_json = std::move(frame.truth_json);
     if (frame.recorded) {
       record.utc = frame.recorded->utc;
+      record.utc_source.clear();
+      record.utc_error_s.reset();
       record.gnss = std::move(frame.recorded->gnss);
+      record.gnss_missing = false;
       record.heading_deg = frame.recorded->heading_deg;
       record.pose = frame.recorded->pose;
     }

@@ -52,6 +52,8 @@ struct CaptureOptions {
   std::uint64_t max_lost_lines = 256;
   // How often in a row a step is taken again whose exposure was not proved; 0 = never.
   int retake = 0;
+  // Triggers by which steps taken again have put off the bracket of a session that is continued.
+  std::uint64_t retakes = 0;
   // An event takes a whole position: as many triggers as it has frames, commanded one after the
   // other as soon as the camera accepts them.
   bool burst = false;
@@ -78,7 +80,8 @@ struct CaptureCounts {
   std::uint64_t camera_gaps = 0;    // frames the camera's own counter says were lost
   std::uint64_t lost_unlisted = 0;  // reported lost by the source beyond max_lost_lines
   std::array<std::uint64_t, kMissReasonCount> missed{};  // lines by MissReason
-  std::uint64_t retaken = 0;  // steps taken again because their exposure was not proved
+  std::uint64_t retaken = 0;      // steps taken again because their exposure was not proved
+  std::uint64_t clock_jumps = 0;  // of the camera's clock against the host's
 };
 
 struct AcceptedTrigger {
@@ -112,7 +115,7 @@ class CaptureController {
   CaptureController(BracketPlan plan, CameraDescription description, const CaptureOptions& options,
                     TriggerId next, CaptureSink& sink, CommandCamera command,
                     const PositionSource* positions, const Clock& clock,
-                    const PlaceSource* place = nullptr);
+                    const PlaceSource* place = nullptr, const UtcReference* utc = nullptr);
 
   // A camera has been opened: from the next trigger on its plan, its frames' description and what
   // proves their exposure are in force.
@@ -179,6 +182,7 @@ class CaptureController {
   const CommandCamera command_;
   const PositionSource* const positions_;
   const PlaceSource* const place_;
+  const UtcReference* const utc_;
   const Clock& clock_;
 
   mutable std::mutex mutex_;
@@ -210,6 +214,7 @@ class CaptureController {
   MissReason waits_for_ = MissReason::kCameraBusy;
   std::map<TriggerId, int> burst_retakes_;
   std::uint64_t frameless_ = 0;
+  std::uint64_t camera_jumps_ = 0;  // as the camera counts them
   CaptureCounts counts_;
   std::deque<bool> recent_lost_;
   std::string last_reason_;

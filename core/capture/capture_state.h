@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <mutex>
 #include <string>
@@ -17,7 +18,9 @@ enum class CaptureState {
   kStorageFull,       // pictures cannot be stored; triggers are journaled as long as lines can be
   kFault,             // something only a person or a restart can cure
   kStopping,
+  kCapturing,  // armed, and pictures are being taken
 };
+inline constexpr std::size_t kCaptureStateCount = 9;
 std::string_view ToString(CaptureState state);
 
 // What is known about the parts; the state follows from it. An empty text = no such condition.
@@ -25,7 +28,8 @@ struct CaptureConditions {
   bool started = false;
   bool camera_ready = false;
   bool armed = false;
-  std::string stopping;  // why it is stopping
+  bool capturing = false;  // a trigger came within the last moments
+  std::string stopping;    // why it is stopping
   std::string fault;
   std::string storage;        // what the storage said, when out of space
   std::string waiting;        // why there is no camera
@@ -34,16 +38,19 @@ struct CaptureConditions {
   std::string storage_low;    // that it nears its end, or cannot be read
   std::string links;          // what connection to the vehicle is not there
   std::string idle;           // why it is disarmed; "disarmed" when empty
+  bool ended = false;         // the session has ended, or is being ended: it is not armed again
 };
 
 struct StateReport {
   CaptureState state = CaptureState::kStarting;
   std::string reason;  // never empty
+  std::string remedy;  // what a person can do about it, or that there is nothing to do; never empty
   bool operator==(const StateReport&) const = default;
 };
 
 // The law: the gravest condition names the state - stopping, fault, storage full, no camera,
-// disarmed, degraded, armed, in this order; a state is left as soon as its condition is gone.
+// disarmed, degraded, capturing, armed, in this order; a state is left as soon as its condition is
+// gone.
 StateReport EvaluateState(const CaptureConditions& conditions);
 
 // Keeps the conditions and tells a listener of every change of state or reason. Thread-safe; the

@@ -5,7 +5,6 @@
 #include <bit>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <limits>
 #include <numbers>
 #include <utility>
@@ -20,6 +19,7 @@
 #include "core/photometry/clipped.h"
 #include "core/photometry/tonemap.h"
 #include "core/pipeline/quality.h"
+#include "core/session/utc_text.h"
 
 namespace omnihdr {
 namespace {
@@ -134,30 +134,6 @@ Image<float> AsFloat(const Image<std::uint8_t>& image) {
   std::transform(image.values().begin(), image.values().end(), out.values().begin(),
                  [](std::uint8_t v) { return static_cast<float>(v); });
   return out;
-}
-
-// "2026-01-01T00:00:00.25Z" as receivers say it.
-std::optional<UtcTime> UtcFromText(const std::string& text) {
-  int year = 0;
-  unsigned month = 0;
-  unsigned day = 0;
-  int hour = 0;
-  int minute = 0;
-  double second = 0.0;
-  if (std::sscanf(text.c_str(), "%4d-%2u-%2uT%2d:%2d:%lf", &year, &month, &day, &hour, &minute,
-                  &second) != 6) {
-    return std::nullopt;
-  }
-  namespace chrono = std::chrono;
-  const chrono::year_month_day date{chrono::year(year), chrono::month(month), chrono::day(day)};
-  // A leap second is second 60.
-  if (!date.ok() || year < 1970 || year > 2200 || hour < 0 || hour > 23 || minute < 0 ||
-      minute > 59 || !(second >= 0.0 && second < 61.0)) {
-    return std::nullopt;
-  }
-  const std::int64_t whole =
-      (chrono::sys_days(date).time_since_epoch().count() * 24 + hour) * 3600 + 60 * minute;
-  return UtcTime::FromNanoseconds(whole * 1'000'000'000 + std::llround(second * 1e9));
 }
 
 // What is known of where and when, for programs that order pictures by that. A frame without a fix

@@ -66,7 +66,12 @@ struct CameraFrame {
   std::optional<Exposure> measured_exposure;
   ExposureProof proof = ExposureProof::kNone;
   HostTime mid_exposure;
-  std::optional<CameraTime> camera_time;
+  std::optional<CameraTime> camera_time;  // of the middle of the exposure
+  // Bound of the error of mid_exposure where it follows from camera_time by a fitted clock; nothing
+  // where it follows from when the camera was commanded.
+  std::optional<Nanoseconds> mid_exposure_error;
+  // How often the camera's clock has jumped against the host's since it was opened.
+  std::uint64_t clock_jumps = 0;
   std::optional<double> temperature_c;
   std::string settings_readback_json;
   std::string truth_json;                  // simulator only

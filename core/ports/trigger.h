@@ -71,12 +71,28 @@ class Odometer : public PositionSource {
   virtual std::uint64_t lost() const { return 0; }
 };
 
+// How good the machine's UTC is.
+struct UtcQuality {
+  bool synchronised = false;        // by NTP, PTP or PPS, as the kernel was told
+  std::optional<double> error_s;    // bound of the error, when synchronised
+  std::optional<int> tai_offset_s;  // TAI − UTC, when the kernel was told
+};
+
+// Any thread.
+class UtcReference {
+ public:
+  virtual ~UtcReference() = default;
+  virtual UtcQuality Quality() const = 0;
+};
+
 // Where the vehicle is and which way it looks, told by others than its odometer. Any thread.
 class PlaceSource {
  public:
   virtual ~PlaceSource() = default;
   // The newest fix that was known at that time; nothing when there was none or it was too old.
   virtual std::optional<GnssFix> Fix(HostTime) const { return std::nullopt; }
+  // Whether fixes are to be expected at all: a frame without one is then marked.
+  virtual bool has_receiver() const { return false; }
   // Clockwise from north, degrees in [0, 360).
   virtual std::optional<double> HeadingDeg(HostTime) const { return std::nullopt; }
 };

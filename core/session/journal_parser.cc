@@ -119,6 +119,29 @@ Result<FrameRecord> ReadRecord(const ObjectReader& line) {
                    line.Integer("utc_ns", INT64_MIN, INT64_MAX, kNanoseconds));
     record.utc = UtcTime::FromNanoseconds(utc_ns);
   }
+  OMNIHDR_ASSIGN(record.utc_source, line.StringOr("utc_source", ""));
+  if (line.Has("utc_error_s")) {
+    OMNIHDR_ASSIGN(record.utc_error_s, line.Number("utc_error_s", 0.0, 1e9, "seconds in [0, 1e9]"));
+  }
+  if (line.Has("step")) {
+    OMNIHDR_ASSIGN(const std::int64_t step,
+                   line.Integer("step", 0, 1'000'000, "a whole number in [0, 1000000]"));
+    record.step = static_cast<int>(step);
+  }
+  OMNIHDR_ASSIGN(const std::int64_t retakes, line.IntegerOr("retakes", 0, 0, limits::kMaxFrame,
+                                                            "a whole number in [0, 999999999999]"));
+  record.retakes = static_cast<std::uint64_t>(retakes);
+  if (line.Has("camera_time_ns")) {
+    OMNIHDR_ASSIGN(const std::int64_t ns,
+                   line.Integer("camera_time_ns", INT64_MIN, INT64_MAX, kNanoseconds));
+    record.camera_time = CameraTime::FromNanoseconds(ns);
+  }
+  if (line.Has("timestamp_error_ns")) {
+    OMNIHDR_ASSIGN(const std::int64_t ns,
+                   line.Integer("timestamp_error_ns", 0, INT64_MAX, "whole nanoseconds from 0"));
+    record.timestamp_error = Nanoseconds(ns);
+  }
+  OMNIHDR_ASSIGN(record.gnss_missing, line.BoolOr("gnss_missing", false));
   if (line.Has("exposure_proof")) {
     constexpr std::string_view kProofs =
         "\"none\", \"embedded\", \"readback\", \"latency\" or \"file\"";

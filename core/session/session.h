@@ -125,9 +125,27 @@ struct FrameRecord {
   std::optional<double> odometer_m;
   FrameStatus status = FrameStatus::kOk;
   // Optional keys.
-  std::string detail;                          // for people: why the status is not ok
-  std::optional<std::uint32_t> crc32c;         // of the pixel file
-  std::optional<UtcTime> utc;                  // "utc_ns": CLOCK_REALTIME of the trigger
+  std::string detail;                   // for people: why the status is not ok
+  std::optional<std::uint32_t> crc32c;  // of the pixel file
+  // Of the trigger; "utc_ns", and "utc" for people: ISO 8601 with nanoseconds.
+  std::optional<UtcTime> utc;
+  // "utc_source": where that comes from: CLOCK_REALTIME, "system-synchronised" (by NTP, PTP, PPS,
+  // as the kernel says) or "system-free"; "gnss": the receiver's time and the age of its report,
+  // where the machine's clock is free; empty = not known.
+  std::string utc_source;
+  // The kernel's bound of the clock's error when synchronised; with "gnss", how late a report may
+  // come after the moment that it tells of.
+  std::optional<double> utc_error_s;
+  // Index into session.json's bracket.exposures_s, and the triggers by which steps taken again have
+  // put the bracket off since the session began.
+  std::optional<int> step;
+  std::uint64_t retakes = 0;
+  // The camera's own time of the exposure's middle ("camera_time_ns"), and the bound of the error
+  // of `timestamp` where it comes from that by a fitted clock ("timestamp_error_ns"); without the
+  // latter, `timestamp` follows from when the camera was commanded.
+  std::optional<CameraTime> camera_time;
+  std::optional<Nanoseconds> timestamp_error;
+  bool gnss_missing = false;                   // there is a receiver, but it had no fix that counts
   ExposureProof proof = ExposureProof::kNone;  // "exposure_proof"
   std::optional<GnssFix> gnss;
   std::optional<double> heading_deg;

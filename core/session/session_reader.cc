@@ -1,6 +1,7 @@
 #include "core/session/session_reader.h"
 
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -17,6 +18,7 @@
 #include "core/session/json.h"
 #include "core/session/limits.h"
 #include "core/session/response_members.h"
+#include "core/session/utc_text.h"
 
 namespace omnihdr {
 namespace {
@@ -240,7 +242,13 @@ std::string FormatFrameRecord(const FrameRecord& record) {
   json.Add("status", std::string(ToString(record.status)));
   if (!record.detail.empty()) json.Add("detail", record.detail);
   if (record.crc32c) json.Add("crc32c", *record.crc32c);
-  if (record.utc) json.Add("utc_ns", record.utc->ns());
+  if (record.step) json.Add("step", *record.step);
+  if (record.retakes > 0) json.Add("retakes", record.retakes);
+  if (record.camera_time) json.Add("camera_time_ns", record.camera_time->ns());
+  if (record.timestamp_error) json.Add("timestamp_error_ns", record.timestamp_error->count());
+  if (record.utc) json.Add("utc", IsoUtcNanoseconds(*record.utc)).Add("utc_ns", record.utc->ns());
+  if (!record.utc_source.empty()) json.Add("utc_source", record.utc_source);
+  if (record.utc_error_s) json.Add("utc_error_s", *record.utc_error_s);
   if (record.proof != ExposureProof::kNone) {
     json.Add("exposure_proof", std::string(ToString(record.proof)));
   }
@@ -257,6 +265,7 @@ std::string FormatFrameRecord(const FrameRecord& record) {
     if (!record.gnss->time_source.empty()) gnss.Add("time_source", record.gnss->time_source);
     json.AddObject("gnss", std::move(gnss));
   }
+  if (record.gnss_missing) json.Add("gnss_missing", true);
   if (record.heading_deg) json.Add("heading_deg", *record.heading_deg);
   if (record.pose) json.AddObject("pose", json::PoseObject(*record.pose));
   if (record.temperature_c) json.Add("temperature_c", *record.temperature_c);

@@ -13,10 +13,10 @@ using Json = nlohmann::json;
 constexpr std::array<FrameStatus, kFrameStatusCount> kStatuses = {
     FrameStatus::kOk,      FrameStatus::kMissedTrigger,    FrameStatus::kCameraTimeout,
     FrameStatus::kCorrupt, FrameStatus::kExposureMismatch, FrameStatus::kDiskFull};
-constexpr std::array<CaptureState, 8> kStates = {
+constexpr std::array<CaptureState, kCaptureStateCount> kStates = {
     CaptureState::kStarting, CaptureState::kWaitingForCamera, CaptureState::kIdle,
     CaptureState::kArmed,    CaptureState::kDegraded,         CaptureState::kStorageFull,
-    CaptureState::kFault,    CaptureState::kStopping};
+    CaptureState::kFault,    CaptureState::kStopping,         CaptureState::kCapturing};
 
 // Untrusted text (camera names, paths) made valid UTF-8, so that it can be dumped.
 std::string Utf8(const std::string& text) {
@@ -63,6 +63,20 @@ class Metrics {
   std::string text_;
 };
 
+// As Prometheus wants it within quotes.
+std::string LabelValue(const std::string& text) {
+  std::string escaped;
+  for (const char c : Utf8(text)) {
+    if (c == '\\' || c == '"') escaped += '\\';
+    if (c == '\n') {
+      escaped += "\\n";
+    } else {
+      escaped += c;
+    }
+  }
+  return escaped;
+}
+
 double AsDouble(std::uint64_t value) { return static_cast<double>(value); }
 
 }  // namespace
@@ -86,6 +100,7 @@ Json StatusToJson(const StatusReport& s) {
       {"uptime_s", s.uptime_s},
       {"state", ToString(s.state.state)},
       {"reason", Utf8(s.state.reason)},
+      {"remedy", Utf8(s.state.remedy)},
       {"session",
        {{"directory", Utf8(s.session_directory)},
         {"resumed", s.session_resumed},
@@ -97,7 +112,8 @@ Json StatusToJson(const StatusReport& s) {
         {"model", Utf8(s.camera_model)},
         {"serial", Utf8(s.camera_serial)},
         {"counters", std::move(camera_counters)},
-        {"rearmed", s.camera_rearmed}}},
+        {"rearmed", s.camera_rearmed},
+        {"clock_jumps", s.capture.clock_jumps}}},
       {"armed", s.armed},
       {"trigger_source", s.trigger_source},
       {"triggers",
@@ -156,6 +172,9 @@ Json StatusToJson(const StatusReport& s) {
                     {"reloads_refused", s.reloads_refused},
                     {"error", Utf8(s.reload_error)},
                     {"restart_needed", s.restart_needed}};
+  json["clock"] = {{"synchronised", s.utc.synchronised},
+                   {"error_s", OrNull(s.utc.error_s)},
+                   {"tai_offset_s", s.utc.tai_offset_s ? Json(*s.utc.tai_offset_s) : Json()}};
   json["gnss"] = nullptr;
   if (s.gnss) {
     json["gnss"] = {{"lat", s.gnss->lat_deg},
@@ -198,6 +217,11 @@ std::string StatusToMetrics(const StatusReport& s) {
     m.Sample("omnihdr_state", fmt::format("state=\"{}\"", ToString(state)),
              state == s.state.state ? 1.0 : 0.0);
   }
+  m.Family("omnihdr_state_info", "gauge", "1, with the state, its reason and what to do about it.");
+  m.Sample("omnihdr_state_info",
+           fmt::format("state=\"{}\",reason=\"{}\",remedy=\"{}\"", ToString(s.state.state),
+                       LabelValue(s.state.reason), LabelValue(s.state.remedy)),
+           1.0);
   m.One("omnihdr_camera_ready", "gauge", "1 when a camera is open.", s.camera_ready ? 1.0 : 0.0);
   m.Family("omnihdr_camera_events_total", "counter", "What the camera's driver counts, by name.");
   for (const auto& [name, value] : s.camera_counters) {
@@ -229,6 +253,14 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_camera_rearmed_total", "counter",
         "Times the camera was opened anew because triggers gave no frame.",
         AsDouble(s.camera_rearmed));
+  m.One("omnihdr_camera_clock_jumps_total", "counter",
+        "Jumps of the camera's clock against the machine's.", AsDouble(s.capture.clock_jumps));
+  m.One("omnihdr_utc_synchronised", "gauge", "1 while the machine's UTC is kept by a time source.",
+        s.utc.synchronised ? 1.0 : 0.0);
+  if (s.utc.error_s) {
+    m.One("omnihdr_utc_error_seconds", "gauge", "Bound of the error of the machine's UTC.",
+          *s.utc.error_s);
+  }
   m.Family("omnihdr_frames_total", "counter", "Journal lines of the session by status.");
   for (const FrameStatus status : kStatuses) {
     m.Sample("omnihdr_frames_total", fmt::format("status=\"{}\"", ToString(status)),
@@ -338,6 +370,7 @@ std::string StatusForPeople(const Json& s) {
   };
   line("state",
        fmt::format("{} ({})", s.at("state").get<std::string>(), s.at("reason").get<std::string>()));
+  if (const std::string remedy = s.value("remedy", ""); !remedy.empty()) line("to do", remedy);
   const Json& session = s.at("session");
   const std::string directory = session.at("directory").get<std::string>();
   line("session", directory.empty()
@@ -396,6 +429,14 @@ std::string StatusForPeople(const Json& s) {
   if (const Json& bracket = s.at("bracket"); bracket.is_object()) {
     const Json changes = bracket.value("changes", Json::array());
     for (const Json& change : changes) line("bracket", change.get<std::string>());
+  }
+  if (const Json clock = s.value("clock", Json()); clock.is_object()) {
+    const Json error = clock.value("error_s", Json());
+    const std::string within =
+        error.is_number() ? fmt::format(", to within {:.3g} s", error.get<double>()) : "";
+    line("utc", clock.value("synchronised", false)
+                    ? "synchronised" + within
+                    : "free: no time source keeps the machine's clock");
   }
   if (const Json& odometer = s.at("odometer_m"); odometer.is_number()) {
     line("odometer", fmt::format("{:.2f} m", odometer.get<double>()));

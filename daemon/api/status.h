@@ -61,6 +61,7 @@ struct StatusReport {
   std::vector<std::string> bracket_changes;  // what is not as it was configured
   Exposure exposure;
 
+  UtcQuality utc;
   std::optional<double> odometer_m;
   std::optional<double> heading_deg;
   std::optional<GnssFix> gnss;

@@ -35,7 +35,8 @@ void AddConfigCommand(CLI::App& app, CommandRun& run);
 void AddRigCommand(CLI::App& app, CommandRun& run);  // rig import, rig check
 void AddStitchCommand(CLI::App& app, CommandRun& run);
 void AddImportCommand(CLI::App& app, CommandRun& run);
-void AddCameraCommand(CLI::App& app, CommandRun& run);  // camera list, info, grab, test
+void AddCameraCommand(CLI::App& app, CommandRun& run);   // camera list, info, grab, test
+void AddBracketCommand(CLI::App& app, CommandRun& run);  // bracket propose
 void AddVerifyCommand(CLI::App& app, CommandRun& run);
 void AddRepairCommand(CLI::App& app, CommandRun& run);
 void AddManualCommands(CLI::App& app, CommandRun& run);  // manual, completion

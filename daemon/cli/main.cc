@@ -36,6 +36,7 @@ constexpr std::array kCommands = {
     AddStitchCommand,
     AddImportCommand,
     AddCameraCommand,
+    AddBracketCommand,
     AddManualCommands,
     AddDoctorCommand,
     AddSupportBundleCommand,

@@ -83,7 +83,8 @@ void Outputs::Set(Output& output, bool active) {
 void Outputs::Show(const ApplianceStatus& status) {
   const bool degraded = status.state == CaptureState::kDegraded;
   std::lock_guard lock(mutex_);
-  Set(outputs_[kReady], degraded || status.state == CaptureState::kArmed);
+  Set(outputs_[kReady],
+      degraded || status.state == CaptureState::kArmed || status.state == CaptureState::kCapturing);
   Set(outputs_[kBusy], status.busy);
   Set(outputs_[kFault], degraded || status.state == CaptureState::kFault ||
                             status.state == CaptureState::kStorageFull ||

@@ -47,6 +47,7 @@ Result<CameraInfo> IidcCamera::Open() {
   camera_ = std::move(*ready);
   assembler_.emplace(camera_->format.frame_bytes, camera_->format.marked_ends);
   camera_clock_.Reset();
+  jumps_before_ = camera_clock_.jumps();
   shutters_ = {};
   gains_ = {};
   in_force_.reset();
@@ -358,12 +359,16 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
     if (const auto cycle_ns = CycleTimeNanoseconds(*info.cycle_time)) {
       const CameraTime taken = camera_clock_.Unwrap(*cycle_ns, raw.arrived);
       if (sent.confirmed) camera_clock_.Add(taken, sent.before, sent.after + kLongestStart);
-      frame.camera_time = taken;
-      start = camera_clock_.ToHost(taken).value_or(start);
+      frame.camera_time = taken + exposure / 2;
+      if (const std::optional<HostTime> fitted = camera_clock_.ToHost(taken)) {
+        start = *fitted;
+        frame.mid_exposure_error = camera_clock_.uncertainty(taken);
+      }
     }
   }
   frame.mid_exposure =
       std::clamp(start + exposure / 2, sent.before, std::max(sent.before, raw.arrived));
+  frame.clock_jumps = camera_clock_.jumps() - jumps_before_;
   frame.settings_readback_json =
       fmt::format(R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
                   in_force_->measured.time.seconds(), in_force_->measured.gain.value,

@@ -87,6 +87,7 @@ class IidcCamera final : public Camera {
   std::optional<ReadyCamera> camera_;
   std::optional<FrameAssembler> assembler_;
   CameraClock camera_clock_;
+  std::uint64_t jumps_before_ = 0;  // of camera_clock_, before the camera was opened
   ExposureTable shutters_;
   ExposureTable gains_;
   std::optional<InForce> in_force_;

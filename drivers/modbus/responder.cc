@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <string_view>
 
 namespace omnihdr::modbus {
 namespace {
@@ -29,6 +30,15 @@ void PutWord(std::uint16_t word, std::uint8_t* to) {
 
 std::uint16_t Clamp16(double value) {
   return static_cast<std::uint16_t>(std::clamp(std::floor(value), 0.0, 65534.0));
+}
+
+// Two ASCII characters a register, cut where they do not fit.
+void PutText(std::string_view text, std::span<std::uint16_t> registers) {
+  for (std::size_t i = 0; i < std::min(text.size(), 2 * registers.size()); ++i) {
+    const auto c = static_cast<unsigned char>(text[i]);
+    const std::uint16_t letter = c >= 0x20 && c < 0x7F ? c : '?';
+    registers[i / 2] |= static_cast<std::uint16_t>(i % 2 == 0 ? letter << 8 : letter);
+  }
 }
 
 bool IsFault(CaptureState state) {
@@ -80,16 +90,17 @@ void Responder::Show(const ApplianceStatus& s) {
     if (odometer == 0x80000000U) odometer = 0x7FFFFFFFU;
   }
   put32(kRegOdometer, odometer);
-  for (std::size_t i = 0; i < std::min<std::size_t>(s.last_fault.size(), 64); ++i) {
-    const auto c = static_cast<unsigned char>(s.last_fault[i]);
-    const std::uint16_t letter = c >= 0x20 && c < 0x7F ? c : '?';
-    registers_[kRegLastFault + i / 2] |=
-        static_cast<std::uint16_t>(i % 2 == 0 ? letter << 8 : letter);
-  }
+  PutText(s.last_fault, std::span(registers_).subspan(kRegLastFault, 32));
+  texts_.fill(0);
+  PutText(s.reason, std::span(texts_).first(kRegRemedy - kRegReason));
+  PutText(s.remedy, std::span(texts_).subspan(kRegRemedy - kRegReason));
 }
 
 std::optional<std::uint16_t> Responder::Register(int address) const {
   if (address == kCommandRegister) return last_command_;
+  if (address >= kRegReason && address < kRegReason + kTextRegisters) {
+    return texts_[static_cast<std::size_t>(address - kRegReason)];
+  }
   if (address < 0 || address >= kStatusRegisters) return std::nullopt;
   // What the last request did is not to be older than the answer to it.
   if (address == kRegCommandCount) return static_cast<std::uint16_t>(command_count_ >> 16);

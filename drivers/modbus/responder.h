@@ -19,7 +19,8 @@ inline constexpr std::uint16_t kMapVersion = 1;
 inline constexpr std::size_t kMaxPdu = 253;
 inline constexpr int kStatusRegisters = 64;
 inline constexpr int kCommandRegister = 100;
-inline constexpr int kCommandCoils = 2;  // 0 armed, 1 trigger
+inline constexpr int kTextRegisters = 128;  // from kRegReason on
+inline constexpr int kCommandCoils = 2;     // 0 armed, 1 trigger
 inline constexpr int kDiscreteInputs = 8;
 
 // Names of the status registers, as addresses.
@@ -41,6 +42,8 @@ enum StatusRegister {
   kRegStorageLevel = 21,   // 16 bits; 0 enough, 1 warning, 2 stop, 3 unreadable
   kRegStorageFreeMb = 22,  // 2^32 - 1 = not known
   kRegLastFault = 32,      // 32 registers of two ASCII characters each, 0 = end
+  kRegReason = 128,        // 64 registers of the same kind
+  kRegRemedy = 192,        // likewise
 };
 enum DiscreteInput {
   kInputCameraReady = 0,
@@ -95,6 +98,7 @@ class Responder {
 
   const CommandHandler command_;
   std::array<std::uint16_t, kStatusRegisters> registers_{};
+  std::array<std::uint16_t, kTextRegisters> texts_{};
   std::array<bool, kDiscreteInputs> inputs_{};
   std::uint32_t command_count_ = 0;
   std::uint16_t last_command_ = 0;

@@ -35,6 +35,7 @@ inline constexpr std::size_t kLost = 8;
 inline constexpr std::size_t kOdometerMm = 16;
 inline constexpr std::uint16_t kWaitingForCamera = 1;
 inline constexpr std::uint16_t kArmed = 3;
+inline constexpr std::uint16_t kCapturing = 8;
 
 // omnihdrd as on a vehicle: a trigger and lamps on the kernel's GPIO, a Modbus master that watches,
 // and a camera that the test brings.

@@ -57,6 +57,7 @@ TEST(GpioOutputs, TheLampsShowTheState) {
                         {CaptureState::kWaitingForCamera, false, true},
                         {CaptureState::kIdle, false, false},
                         {CaptureState::kArmed, true, false},
+                        {CaptureState::kCapturing, true, false},
                         {CaptureState::kDegraded, true, true},
                         {CaptureState::kStorageFull, false, true},
                         {CaptureState::kFault, false, true},

@@ -1,4 +1,5 @@
-// Steps of the bracket that are taken again, bursts, and cameras that give no frames.
+// Steps of the bracket that are taken again, bursts, cameras that give no frames, and what a line
+// tells of its times.
 #include <gtest/gtest.h>
 
 #include <chrono>
@@ -7,6 +8,7 @@
 #include <vector>
 
 #include "core/capture/capture_controller.h"
+#include "core/session/utc_text.h"
 #include "tests/unit/core/capture/controller_bench.h"
 
 namespace omnihdr::capture_steps_test {
@@ -45,7 +47,11 @@ TEST(CaptureSteps, AStepThatWasNotProvedIsTakenByTheNextTriggerAndTheBracketGoes
   }
   EXPECT_EQ(asked, (std::vector<double>{0.001, 0.004, 0.004, 0.016, 0.001, 0.004}));
   EXPECT_EQ(bench.record(1).status, FrameStatus::kExposureMismatch);
+  EXPECT_EQ(bench.record(1).step, 1);
+  EXPECT_EQ(bench.record(1).retakes, 0U);
   EXPECT_EQ(bench.record(2).status, FrameStatus::kOk);
+  EXPECT_EQ(bench.record(2).step, 1);
+  EXPECT_EQ(bench.record(5).retakes, 1U);
   EXPECT_EQ(bench.controller.counts().retaken, 1U);
 }
 
@@ -63,6 +69,13 @@ TEST(CaptureSteps, AStepThatIsNeverProvedIsTakenAgainAsOftenAsAllowedAndThenLeft
   EXPECT_EQ(bench.sink.lines.size(), 6U);
 }
 
+TEST(CaptureSteps, AContinuedSessionKeepsThePhaseThatItsRetakesHaveMade) {
+  CaptureOptions options = Retaking(1);
+  options.retakes = 2;
+  Bench bench(4, 1000, 5, 1, options);
+  EXPECT_EQ(bench.TryTrigger()->step, 0) << "trigger 5 takes what trigger 3 would have taken";
+}
+
 TEST(CaptureSteps, ABurstTakesTheWholeBracketAtOnePositionWithoutWaitingForItsFrames) {
   Bench bench(4, 1000, 0, 3, Retaking(0, true));
   const auto accepted = bench.TryTrigger();
@@ -72,7 +85,7 @@ TEST(CaptureSteps, ABurstTakesTheWholeBracketAtOnePositionWithoutWaitingForItsFr
   ASSERT_EQ(bench.sink.lines.size(), 3U);
   for (std::size_t i = 0; i < 3; ++i) {
     EXPECT_EQ(Value(bench.record(i).position), 0);
-    EXPECT_EQ(bench.record(i).exposure, bench.commanded[i].exposure);
+    EXPECT_EQ(bench.record(i).step, static_cast<int>(i));
     EXPECT_EQ(bench.record(i).trigger_time, accepted->time);
     EXPECT_EQ(bench.record(i).status, FrameStatus::kOk);
   }
@@ -222,6 +235,96 @@ TEST(CaptureSteps, TriggersThatTheCameraLeavesWithoutAFrameAreCountedUntilOneCom
   EXPECT_EQ(bench.controller.frameless(), 4U);
   bench.controller.OnFrame(FrameFor(bench.commanded.back()));
   EXPECT_EQ(bench.controller.frameless(), 0U);
+}
+
+class FreeClock final : public UtcReference {
+ public:
+  UtcQuality Quality() const override { return quality; }
+  UtcQuality quality;
+};
+
+class NoFix final : public PlaceSource {
+ public:
+  bool has_receiver() const override { return true; }
+};
+
+class OneFix final : public PlaceSource {
+ public:
+  std::optional<GnssFix> Fix(HostTime at) const override {
+    GnssFix fix;
+    fix.time = "2026-01-01T00:00:00.25Z";
+    fix.fix = 1;
+    fix.age_s = static_cast<double>((at - received).count()) * 1e-9;
+    return fix;
+  }
+  bool has_receiver() const override { return true; }
+  HostTime received;
+};
+
+TEST(CaptureSteps, WhereNobodyKeepsTheMachinesClockTheReceiverTellsTheTime) {
+  SimulatedClock clock;
+  KeepingSink sink;
+  FreeClock utc;
+  OneFix place;
+  std::vector<ExposureRequest> commanded;
+  CaptureController controller(
+      Sawtooth(), SmallCamera(), CaptureOptions{}, TriggerId{0}, sink,
+      [&](const ExposureRequest& request) -> Status {
+        commanded.push_back(request);
+        return {};
+      },
+      nullptr, clock, &place, &utc);
+  TriggerEvent event;
+  event.time = clock.Now();
+  place.received = event.time - milliseconds(500);
+  for (const bool kept : {false, true}) {
+    utc.quality.synchronised = kept;
+    ASSERT_TRUE(controller.OnTrigger(event));
+    controller.OnFrame(FrameFor(commanded.back()));
+  }
+  const FrameRecord& free = sink.lines.at(0).record;
+  EXPECT_EQ(free.utc_source, "gnss");
+  EXPECT_EQ(free.utc_error_s, 1.0);
+  ASSERT_TRUE(free.utc);
+  EXPECT_EQ(IsoUtcNanoseconds(*free.utc), "2026-01-01T00:00:00.750000000Z");
+  EXPECT_EQ(sink.lines.at(1).record.utc_source, "system-synchronised");
+}
+
+TEST(CaptureSteps, ALineTellsHowGoodItsTimesAreAndThatThereWasNoFix) {
+  SimulatedClock clock;
+  KeepingSink sink;
+  FreeClock utc;
+  const NoFix place;
+  std::vector<ExposureRequest> commanded;
+  CaptureController controller(
+      Sawtooth(), SmallCamera(), CaptureOptions{}, TriggerId{0}, sink,
+      [&](const ExposureRequest& request) -> Status {
+        commanded.push_back(request);
+        return {};
+      },
+      nullptr, clock, &place, &utc);
+  TriggerEvent event;
+  event.time = clock.Now();
+  ASSERT_TRUE(controller.OnTrigger(event));
+  CameraFrame frame = FrameFor(commanded[0]);
+  frame.camera_time = CameraTime::FromNanoseconds(77);
+  frame.mid_exposure_error = milliseconds(1);
+  frame.clock_jumps = 2;
+  controller.OnFrame(std::move(frame));
+  utc.quality = {true, 0.002, 37};
+  ASSERT_TRUE(controller.OnTrigger(event));
+  controller.OnFrame(FrameFor(commanded[1]));
+  const FrameRecord& free = sink.lines.at(0).record;
+  EXPECT_EQ(free.utc_source, "system-free");
+  EXPECT_FALSE(free.utc_error_s);
+  EXPECT_EQ(free.camera_time->ns(), 77);
+  EXPECT_EQ(free.timestamp_error, milliseconds(1));
+  EXPECT_TRUE(free.gnss_missing);
+  EXPECT_EQ(controller.counts().clock_jumps, 2U);
+  const FrameRecord& kept = sink.lines.at(1).record;
+  EXPECT_EQ(kept.utc_source, "system-synchronised");
+  EXPECT_EQ(kept.utc_error_s, 0.002);
+  EXPECT_FALSE(kept.timestamp_error);
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/session/session_reader.h"
+#include "core/session/utc_text.h"
 #include "tests/unit/core/session/session_samples.h"
 
 namespace omnihdr::journal_test {
@@ -33,6 +34,30 @@ JournalContents Parse(const std::string& text) {
     return {};
   }
   return std::move(*contents);
+}
+
+TEST(Journal, UtcAsTextReadsBackAndWhatIsNoTimeIsNone) {
+  const UtcTime time = UtcTime::FromNanoseconds(1'767'225'600'250'000'000);
+  EXPECT_EQ(UtcFromText("2026-01-01T00:00:00.25Z"), time);
+  EXPECT_EQ(UtcFromText(IsoUtcNanoseconds(time)), time);
+  EXPECT_TRUE(UtcFromText("2016-12-31T23:59:60Z")) << "a leap second";
+  for (const char* text : {"", "now", "2026-02-30T00:00:00Z", "2026-01-01T25:00:00Z"}) {
+    EXPECT_FALSE(UtcFromText(text)) << text;
+  }
+}
+
+TEST(Journal, UtcStandsInALineForPeopleToTheNanosecond) {
+  EXPECT_EQ(IsoUtcNanoseconds(UtcTime::FromNanoseconds(1'767'225'600'000'000'007)),
+            "2026-01-01T00:00:00.000000007Z");
+  EXPECT_EQ(IsoUtcNanoseconds(UtcTime::FromNanoseconds(-1)), "1969-12-31T23:59:59.999999999Z");
+  FrameRecord record = test::SampleRecord(0, 0);
+  record.utc = UtcTime::FromNanoseconds(1'767'225'600'250'000'000);
+  record.utc_source = "system-free";
+  EXPECT_NE(FormatFrameRecord(record).find(
+                R"("utc": "2026-01-01T00:00:00.250000000Z", "utc_ns": 1767225600250000000, )"
+                R"("utc_source": "system-free")"),
+            std::string::npos)
+      << FormatFrameRecord(record);
 }
 
 TEST(Journal, TheDocumentedExampleIsRead) {

@@ -78,6 +78,13 @@ FrameRecord AnyRecord() {
   record.detail = AnyText();
   if (Coin()) record.crc32c = static_cast<std::uint32_t>(AnyInteger(0, 1LL << 32));
   if (Coin()) record.utc = UtcTime::FromNanoseconds(AnyInteger(INT64_MIN, INT64_MAX));
+  if (Coin()) record.utc_source = "system-synchronised";
+  if (Coin()) record.utc_error_s = AnyDouble(0, 10);
+  if (Coin()) record.step = static_cast<int>(AnyInteger(0, 64));
+  if (Coin()) record.retakes = static_cast<std::uint64_t>(AnyInteger(0, 1000));
+  if (Coin()) record.camera_time = CameraTime::FromNanoseconds(AnyInteger(INT64_MIN, INT64_MAX));
+  if (Coin()) record.timestamp_error = Nanoseconds(AnyInteger(0, INT64_MAX));
+  record.gnss_missing = Coin();
   record.proof =
       *rc::gen::element(ExposureProof::kNone, ExposureProof::kEmbedded, ExposureProof::kReadback,
                         ExposureProof::kLatency, ExposureProof::kFile);
@@ -122,6 +129,13 @@ RC_GTEST_PROP(SessionProperty, AFrameRecordReadsBackExactlyAsWritten, ()) {
   RC_ASSERT(read.detail == written.detail);
   RC_ASSERT(read.crc32c == written.crc32c);
   RC_ASSERT(read.utc == written.utc);
+  RC_ASSERT(read.utc_source == written.utc_source);
+  RC_ASSERT(read.utc_error_s == written.utc_error_s);
+  RC_ASSERT(read.step == written.step);
+  RC_ASSERT(read.retakes == written.retakes);
+  RC_ASSERT(read.camera_time == written.camera_time);
+  RC_ASSERT(read.timestamp_error == written.timestamp_error);
+  RC_ASSERT(read.gnss_missing == written.gnss_missing);
   RC_ASSERT(read.proof == written.proof);
   RC_ASSERT(read.gnss.has_value() == written.gnss.has_value());
   if (written.gnss) {

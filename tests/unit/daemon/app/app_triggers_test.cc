@@ -130,9 +130,11 @@ TEST_F(AppTriggers, ABurstIsTheWholeBracketAtOnePosition) {
   ASSERT_EQ(frames.size(), 6U);
   for (std::size_t i = 0; i < 6; ++i) {
     EXPECT_EQ(Value(frames[i].position), static_cast<std::int64_t>(i / 3));
-    EXPECT_EQ(frames[i].exposure.time.seconds(), config_.bracket.exposures_s[i % 3]);
+    EXPECT_EQ(frames[i].step, static_cast<int>(i % 3));
+    EXPECT_FALSE(frames[i].utc_source.empty());
   }
   EXPECT_EQ(ReadSession(session())->info.bracket->frames_per_position, 3);
+  EXPECT_THAT(ReadSession(session())->info.extra_json, HasSubstr("CLOCK_MONOTONIC"));
 }
 
 TEST_F(AppTriggers, ACameraThatLeavesTriggersWithoutFramesIsOpenedAnewAndThatIsCounted) {
