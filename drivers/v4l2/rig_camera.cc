@@ -233,6 +233,11 @@ void V4l2RigCamera::Stop() {
 
 Status V4l2RigCamera::Trigger(const ExposureRequest& request) { return handover_.Trigger(request); }
 
+void V4l2RigCamera::Prepare(const Exposure& next) {
+  std::lock_guard lock(members_mutex_);
+  for (const auto& member : members_) member->Prepare(next);
+}
+
 Result<CameraFrame> V4l2RigCamera::Receive(Nanoseconds timeout) {
   return handover_.Receive(timeout);
 }

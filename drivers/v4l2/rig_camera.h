@@ -45,6 +45,7 @@ class V4l2RigCamera final : public Camera {
   Status Start() override;
   void Stop() override;
   Status Trigger(const ExposureRequest& request) override;
+  void Prepare(const Exposure& next) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
 
   struct Counts {

@@ -89,6 +89,11 @@ Status RigMember::Trigger(const ExposureRequest& request) {
   return camera_.Trigger(request);
 }
 
+void RigMember::Prepare(const Exposure& next) {
+  std::lock_guard lock(gate_);
+  if (state_.present) camera_.Prepare(next);
+}
+
 RigMember::State RigMember::state() const {
   std::lock_guard lock(gate_);
   return state_;

@@ -62,6 +62,8 @@ class RigMember {
 
   // As Camera::Trigger; kUnavailable with the reason while the camera is away.
   Status Trigger(const ExposureRequest& request);
+  // As Camera::Prepare; nothing while the camera is away.
+  void Prepare(const Exposure& next);
   struct State {
     bool present = false;
     std::string why;         // it is away

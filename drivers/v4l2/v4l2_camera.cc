@@ -89,6 +89,8 @@ void V4l2Camera::Stop() {
 
 Status V4l2Camera::Trigger(const ExposureRequest& request) { return handover_.Trigger(request); }
 
+void V4l2Camera::Prepare(const Exposure& next) { handover_.Prepare(next); }
+
 Result<CameraFrame> V4l2Camera::Receive(Nanoseconds timeout) { return handover_.Receive(timeout); }
 
 V4l2Camera::Counts V4l2Camera::counts() const {
@@ -102,7 +104,8 @@ std::vector<CameraCounter> V4l2Camera::Counters() const {
       {"damaged_buffers", now.damaged},           {"stale_frames", now.stale},
       {"sequence_gaps", now.lost_frames},         {"lost_triggers", now.lost_triggers},
       {"clamped_settings", now.clamped},          {"brightness_contradictions", now.contradictions},
-      {"latency_measurements", now.measurements}, {"early_exposures", now.early}};
+      {"latency_measurements", now.measurements}, {"early_exposures", now.early},
+      {"prepared_exposures", now.prepared}};
 }
 
 Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
@@ -121,7 +124,9 @@ Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
     } else {
       request = handover_.Take(Nanoseconds(0), stop);
     }
-    Status done = request ? Shoot(*request, stop) : Idle();
+    // What was said to come next may have been this one.
+    if (request) static_cast<void>(handover_.TakeHint());
+    Status done = request ? Shoot(*request, stop) : Idle(stop);
     if (!done) {
       handover_.GoAway(std::move(done).error().message);
       return {};
@@ -161,7 +166,20 @@ Status V4l2Camera::Shoot(const ExposureRequest& request, const std::stop_token& 
 }
 
 // Nobody waits for anything: frames come and go, and a lost camera shows.
-Status V4l2Camera::Idle() {
+Status V4l2Camera::Idle(const std::stop_token& stop) {
+  const std::optional<Exposure> hint = handover_.TakeHint();
+  if (hint && (!set_ || set_->asked != *hint)) {
+    const Result<bool> written = SetExposureNow(*hint, stop);
+    if (written && *written) {
+      std::lock_guard lock(mutex_);
+      ++counts_.prepared;
+    }
+    // What else fails is done again, and told, when the trigger comes.
+    if (!written && written.error().kind == ErrorKind::kUnavailable) {
+      return Forward(written.error(), "set the next exposure");
+    }
+    return {};
+  }
   OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(kSlice));
   if (filled) OMNIHDR_TRY(camera_->stream->Recycle(*filled));
   return {};

@@ -22,11 +22,13 @@ namespace omnihdr::v4l2 {
 // is certain to be in force. Two triggers are on their way at most; another one is refused as busy,
 // as is one while four pictures wait to be received. The second one's exposure is written while the
 // first one's frame is still coming, as soon as that frame is certain not to be touched by it: a
-// measured latency says from which frame on a setting may act. The exposure of a frame is
-// what was read back, in force since as many frames as were measured (proof latency; readback when
-// the latency could not be measured). A picture whose brightness contradicts that has no proof; two
-// such in a row, and the latency is measured anew. The camera's counter goes up by one a picture
-// and by the frames lost between (gaps in the kernel's sequence).
+// measured latency says from which frame on a setting may act. What Prepare says comes next is
+// written while nothing is on its way: a trigger that comes once it is in force takes the first
+// frame that begins after it. The exposure of a frame is what was read back, in force since as many
+// frames as were measured (proof latency; readback when the latency could not be measured). A
+// picture whose brightness contradicts that has no proof; two such in a row, and the latency is
+// measured anew. The camera's counter goes up by one a picture and by the frames lost between (gaps
+// in the kernel's sequence).
 class V4l2Camera final : public Camera {
  public:
   V4l2Camera(V4l2CameraOptions options, std::unique_ptr<V4l2System> system);
@@ -37,6 +39,7 @@ class V4l2Camera final : public Camera {
   Status Start() override;
   void Stop() override;
   Status Trigger(const ExposureRequest& request) override;
+  void Prepare(const Exposure& next) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
 
   // Of the open camera: the path of its node, and which requests it takes.
@@ -52,6 +55,7 @@ class V4l2Camera final : public Camera {
     std::uint64_t contradictions = 0;  // brightness did not follow the exposure
     std::uint64_t measurements = 0;    // of the latency, after that of Open
     std::uint64_t early = 0;           // exposures written while the frame before was coming
+    std::uint64_t prepared = 0;        // exposures written before their trigger, with nothing to do
   };
   Counts counts() const;
   std::vector<CameraCounter> Counters() const override;
@@ -73,7 +77,7 @@ class V4l2Camera final : public Camera {
   Status Run(std::stop_token stop, Stage& stage);
   // An error: the camera has gone.
   Status Shoot(const ExposureRequest& request, const std::stop_token& stop);
-  Status Idle();
+  Status Idle(const std::stop_token& stop);
   Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
                                                  std::stop_token stop);
   Result<bool> SetExposureNow(const Exposure& exposure, std::stop_token stop);

@@ -215,6 +215,24 @@ TEST_F(RigCameraTest, TwoTriggersOnTheirWayAreTwoSetsHoweverTheirFramesArrive) {
   }
 }
 
+TEST_F(RigCameraTest, WhatComesNextIsPreparedInEveryCamera) {
+  Begin();
+  ASSERT_EQ(TakeOne(0.0004).status, FrameStatus::kOk);
+  const auto prepared = [this] {
+    for (const CameraCounter& each : camera_->Counters()) {
+      if (each.name == "prepared_exposures") return each.value;
+    }
+    return std::uint64_t{0};
+  };
+  camera_->Prepare({ExposureTime::Seconds(0.003), GainDb{}});
+  const HostTime deadline = clock_.Now() + std::chrono::seconds(10);
+  while (prepared() < 3 && clock_.Now() < deadline) std::this_thread::sleep_for(milliseconds(1));
+  EXPECT_EQ(prepared(), 3U);
+  const CameraFrame frame = TakeOne(0.003);
+  ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+  for (int sensor = 0; sensor < 3; ++sensor) ExpectSensor(frame, sensor, 0.003);
+}
+
 TEST_F(RigCameraTest, ASetHasTheWeakestProofOfItsMembers) {
   V4l2CameraModel::Faults faults;
   faults.dark = true;

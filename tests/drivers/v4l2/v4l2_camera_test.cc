@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <cerrno>
 #include <map>
@@ -159,6 +160,65 @@ TEST_F(V4l2CameraTest, TheNextExposureIsWrittenWhileTheFrameBeforeIsStillComing)
   EXPECT_LT(SequenceOf(burst.frames.back()) - SequenceOf(burst.frames.front()), 44);
   EXPECT_GE(camera_->counts().early, 4U);
   EXPECT_EQ(camera_->counts().contradictions, 0U);
+}
+
+TEST_F(V4l2CameraTest, AnExposureThatWasPreparedDoesNotWaitForTheLatencyWhenItsTriggerComes) {
+  V4l2ModelOptions options;
+  options.latency_frames = 6;
+  options.interval_s = 0.015;
+  Plug(options);
+  Begin();
+  const auto prepared = [this] { return camera_->counts().prepared; };
+  TakeOne(0.002);
+  const Nanoseconds pause = std::chrono::milliseconds(200);  // over twelve frames
+  std::vector<Nanoseconds> unprepared_took;
+  std::vector<Nanoseconds> prepared_took;
+  for (const bool prepare : {false, true}) {
+    for (const double seconds : {0.0004, 0.002, 0.0004, 0.002}) {
+      const std::uint64_t before = prepared();
+      if (prepare) camera_->Prepare({ExposureTime::Seconds(seconds), GainDb{}});
+      std::this_thread::sleep_for(pause);
+      EXPECT_EQ(prepared(), before + (prepare ? 1 : 0));
+      const std::size_t writes = emulated_->model->writes().size();
+      const HostTime begin = SystemClock().Now();
+      const CameraFrame frame = TakeOne(seconds);
+      (prepare ? prepared_took : unprepared_took).push_back(SystemClock().Now() - begin);
+      ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+      EXPECT_EQ(frame.proof, ExposureProof::kLatency);
+      ExpectScene(frame, seconds, 1.0, 255.0);
+      EXPECT_EQ(emulated_->model->writes().size(), writes + (prepare ? 0 : 1));
+    }
+  }
+  // One after the other takes the latency of six frames and more, 90 ms; a prepared one the frame
+  // that is being exposed and its own.
+  const auto quickest = [](const std::vector<Nanoseconds>& took) {
+    return *std::min_element(took.begin(), took.end());
+  };
+  EXPECT_GE(quickest(unprepared_took), std::chrono::milliseconds(85));
+  EXPECT_LE(quickest(prepared_took), std::chrono::milliseconds(60));
+  EXPECT_EQ(camera_->counts().contradictions, 0U);
+}
+
+TEST_F(V4l2CameraTest, APreparedExposureThatIsNotAskedForCostsNothingButItself) {
+  Plug({});
+  Begin();
+  TakeOne(0.001);
+  camera_->Prepare({ExposureTime::Seconds(0.003), GainDb{}});
+  const CameraFrame other = TakeOne(0.0004);
+  ASSERT_EQ(other.status, FrameStatus::kOk) << other.detail;
+  EXPECT_EQ(other.proof, ExposureProof::kLatency);
+  ExpectScene(other, 0.0004, 1.0, 255.0);
+  // One that the camera refuses is told when its trigger comes, and not before.
+  V4l2CameraModel::Faults faults;
+  faults.refuse[VIDIOC_S_EXT_CTRLS] = -EILSEQ;
+  emulated_->model->SetFaults(faults);
+  camera_->Prepare({ExposureTime::Seconds(0.003), GainDb{}});
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  const CameraFrame refused = TakeOne(0.003);
+  EXPECT_EQ(refused.status, FrameStatus::kMissedTrigger);
+  EXPECT_THAT(refused.detail, HasSubstr("in no state for it"));
+  emulated_->model->SetFaults({});
+  ExpectScene(TakeOne(0.003), 0.003, 1.0, 255.0);
 }
 
 TEST_F(V4l2CameraTest, FramesThatAreLostInABurstCostTheirTriggersAndNoPictureHasAnotherExposure) {
