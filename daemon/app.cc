@@ -178,6 +178,7 @@ Status App::MakeController() {
   options.retake = config_.bracket.retake;
   options.retakes = last_retakes_;
   options.burst = config_.trigger.burst;
+  options.wired = config_.trigger.wired;
   controller_ = std::make_unique<CaptureController>(
       std::move(plan), session_ ? session_->info.camera : CameraDescription{}, options,
       TriggerId{journaled_}, recorder_,
@@ -226,12 +227,17 @@ void App::StartStages() {
                              },
                          .frame =
                              [this](CameraFrame frame) {
-                               latency_.FrameArrived(frame.trigger, clock_.Now());
-                               controller_->OnFrame(std::move(frame));
+                               const HostTime now = clock_.Now();
+                               const bool wired = frame.wired.has_value();
+                               if (!wired) latency_.FrameArrived(frame.trigger, now);
+                               const auto trigger = controller_->OnFrame(std::move(frame));
+                               if (wired && trigger) latency_.FrameArrived(*trigger, now);
                                PrepareNext();
-                               // The next one of a burst has a deadline of its own.
-                               if (config_.trigger.burst)
+                               // The next one of a burst, and a frame that waits for its edge, have
+                               // a deadline of their own.
+                               if (config_.trigger.burst || wired) {
                                  PostOrLog([this] { ScheduleCaptureTimer(); });
+                               }
                              },
                          .away = [this](const Error& error) { OnCameraAway(error); }},
       clock_);

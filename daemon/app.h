@@ -168,6 +168,7 @@ class App final : public ApiBackend {
   void CloseViews(const SessionProcessor* processor);
   void OnViewDone(const ViewDone& view);
   void OnQualityChanged(int level, int backlog);
+  void SetArmed(bool armed);  // main loop
   void SetViewsError(const std::string& error);
   // Until there is more than `known` lines, or the views are to be finished.
   void WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_t known);

@@ -128,11 +128,16 @@ void App::DisarmBecause(const Error& error) {
   const std::string reason =
       fmt::format("trigger source {}: {}", parts_.triggers->kind(), error.message);
   spdlog::error("{}", reason);
-  armed_ = false;
+  SetArmed(false);
   state_.Update([&](CaptureConditions& c) {
     c.armed = false;
     c.idle = reason;
   });
+}
+
+void App::SetArmed(bool armed) {
+  armed_ = armed;
+  controller_->SetArmed(armed);
 }
 
 void App::CheckSeriesEnd() {
@@ -202,7 +207,7 @@ void App::EndSession(const std::string& reason, bool exit_after) {
   end_reason_ = reason;
   spdlog::info("session: ending: {}", reason);
   StopSource();
-  armed_ = false;
+  SetArmed(false);
   state_.Update([&](CaptureConditions& c) {
     c.armed = false;
     c.idle = fmt::format("{}: finishing the views", reason);
@@ -235,7 +240,7 @@ void App::StopNow(const std::string& reason) {
   ending_ = true;
   spdlog::info("stopping: {}", reason);
   StopSource();
-  armed_ = false;
+  SetArmed(false);
   state_.Update([&](CaptureConditions& c) {
     c.armed = false;
     c.stopping = reason;
@@ -327,6 +332,7 @@ StatusReport App::BuildStatus() const {
   }
   s.armed = armed_;
   s.trigger_source = std::string(parts_.triggers->kind());
+  s.trigger_wired = config_.trigger.wired;
   s.triggers_ignored = ignored_triggers_;
   s.session_ended = ended_;
   s.pipeline_enabled = static_cast<bool>(parts_.open_pipeline);
@@ -429,7 +435,7 @@ ApiReply App::ArmNow() {
     return ApiReply::Refused(
         409, phase_ == Phase::kStopping ? "the daemon is stopping" : "the session has ended");
   }
-  armed_ = true;
+  SetArmed(true);
   state_.Update([](CaptureConditions& c) {
     c.armed = true;
     c.idle.clear();
@@ -451,7 +457,7 @@ ApiReply App::Arm() {
 ApiReply App::DisarmNow() {
   DrainSource();
   StopSource();
-  armed_ = false;
+  SetArmed(false);
   state_.Update([](CaptureConditions& c) {
     c.armed = false;
     c.capturing = false;
@@ -468,6 +474,9 @@ ApiReply App::TriggerNow() {
   if (phase_ == Phase::kStopping) return ApiReply::Refused(409, "the daemon is stopping");
   if (phase_ != Phase::kRunning) return ApiReply::Refused(409, "the session has ended");
   if (!armed_) return ApiReply::Refused(409, "disarmed: arm first");
+  if (config_.trigger.wired) {
+    return ApiReply::Refused(409, "trigger.wired: the camera exposes at pulses of its wire only");
+  }
   if (!session()) {
     return ApiReply::Refused(503, fmt::format("no session yet: {}", state_.report().reason));
   }

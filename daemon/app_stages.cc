@@ -223,6 +223,11 @@ void App::OnJournaled(const FrameRecord& record) {
   hub_.Publish(event);
   if (usable) {
     spdlog::debug("trigger {}: {}", Value(record.frame), record.file);
+    if (!record.detail.empty()) {
+      if (const auto count = drop_log_.Pass(clock_.Now())) {
+        spdlog::warn("trigger {}: {} ({} such lines)", Value(record.frame), record.detail, *count);
+      }
+    }
   } else {
     if (const auto count = drop_log_.Pass(clock_.Now())) {
       spdlog::warn("trigger {}: {}: {}{}", Value(record.frame), ToString(record.status),

@@ -33,7 +33,7 @@ iidc::Coding Coding(IidcCoding coding) {
   return iidc::Coding::kRaw8;
 }
 
-CameraOptions MakeIidcOptions(const CameraConfig& config) {
+CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired) {
   const IidcCameraConfig& from = config.iidc;
   iidc::IidcCameraOptions options;
   options.id = from.id;
@@ -48,6 +48,9 @@ CameraOptions MakeIidcOptions(const CameraConfig& config) {
   options.top = from.top;
   options.packet_bytes = from.packet_bytes;
   options.trigger_mode = from.trigger_mode;
+  options.wired = wired;
+  options.trigger_input = from.trigger_input;
+  options.trigger_active_low = from.trigger_active_low;
   options.settle_frames = from.settle_frames;
   options.white_balance_blue = from.white_balance_blue;
   options.white_balance_red = from.white_balance_red;
@@ -64,7 +67,9 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
     replay.session = config.camera.replay.session;
     return replay;
   }
-  if (config.camera.driver == CameraDriver::kIidc) return MakeIidcOptions(config.camera);
+  if (config.camera.driver == CameraDriver::kIidc) {
+    return MakeIidcOptions(config.camera, config.trigger.wired);
+  }
   if (config.camera.driver == CameraDriver::kV4l2) {
     v4l2::V4l2CameraOptions v4l2 = config.camera.v4l2;
     v4l2.frame_timeout_s = config.camera.frame_timeout_s;
@@ -87,6 +92,7 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   options.simulation.sensor.read_noise = from.read_noise;
   options.simulation.sensor.seed = from.seed;
   options.latency_s = from.latency_s;
+  options.wired = config.trigger.wired;
   options.faults.lost_probability = from.lost_frame_probability;
   options.faults.torn_probability = from.corrupt_frame_probability;
   options.faults.exposure_probability = from.exposure_error_probability;

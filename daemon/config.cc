@@ -267,6 +267,7 @@ class Loader {
       Problem(line_of("trigger.source"), "gpio.trigger.line",
               "\"\", expected a line with trigger.source = \"gpio\"");
     }
+    if (config.trigger.wired) CheckWired(line_of);
     if (inputs.trigger.name.configured() && inputs.trigger.name.line == inputs.wheel.name.line &&
         inputs.trigger.name.chip == inputs.wheel.name.chip) {
       Problem(line_of("gpio.wheel.line"), "gpio.wheel.line",
@@ -287,6 +288,30 @@ class Loader {
         (!client || !config.modbus.client.odometer.configured())) {
       Problem(line_of("trigger.odometer"), "modbus.client.odometer.register",
               "-1, expected a register, and a connection, with trigger.odometer = \"modbus\"");
+    }
+  }
+
+  // A camera that hangs on the trigger's wire.
+  template <typename LineOf>
+  void CheckWired(const LineOf& line_of) {
+    const DaemonConfig& config = loaded_.config;
+    const auto problem = [&](const char* key, const char* message) {
+      Problem(line_of("trigger.wired"), key, message);
+    };
+    const CameraDriver driver = config.camera.driver;
+    if (driver != CameraDriver::kIidc && driver != CameraDriver::kSim) {
+      problem("camera.driver", "expected \"iidc\" or \"sim\" with trigger.wired = true");
+    }
+    if (driver == CameraDriver::kIidc && config.trigger.source != TriggerKind::kGpio) {
+      problem("trigger.source",
+              "expected \"gpio\", the line on the wire, with trigger.wired = true");
+    }
+    if (driver == CameraDriver::kIidc && config.camera.iidc.trigger_mode == 15) {
+      problem("camera.iidc.trigger_mode", "15, expected 0 or 14 with trigger.wired = true");
+    }
+    if (config.trigger.burst) {
+      problem("trigger.burst",
+              "true, expected false with trigger.wired = true: a pulse is a picture");
     }
   }
 

@@ -116,8 +116,10 @@ struct IidcCameraConfig {
   IidcCoding coding = IidcCoding::kRaw8;
   int left = 0;  // of the picture on the sensor
   int top = 0;
-  int packet_bytes = 0;         // 0 = as the camera recommends
-  int trigger_mode = 0;         // 0, 14 or 15
+  int packet_bytes = 0;   // 0 = as the camera recommends
+  int trigger_mode = 0;   // 0, 14 or 15
+  int trigger_input = 0;  // of a wired camera, 0 to 3
+  bool trigger_active_low = false;
   int settle_frames = -1;       // thrown away after a change of exposure; -1 = as the model needs
   int white_balance_blue = -1;  // register values; -1 = as the camera has them
   int white_balance_red = -1;
@@ -163,7 +165,9 @@ struct TriggerConfig {
   OdometerKind odometer = OdometerKind::kSim;  // whose metres are journaled and whose marks trigger
   std::uint64_t limit = 0;                     // triggers after which the source disarms; 0 = none
   bool armed_at_start = false;
-  bool burst = false;   // a whole bracket at each trigger, at one position
+  bool burst = false;  // a whole bracket at each trigger, at one position
+  bool wired =
+      false;  // the camera hangs on the same wire: edges are observed, nothing is commanded
   int rearm_after = 8;  // triggers without a frame after which the camera is opened anew; 0 = never
 };
 

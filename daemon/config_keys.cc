@@ -337,6 +337,9 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("camera.iidc.packet_bytes", "bytes", 0, 65535,
             OMNIHDR_MEMBER(camera.iidc.packet_bytes)));
   add(TriggerMode());
+  add(Whole("camera.iidc.trigger_input", "a whole number", 0, 3,
+            OMNIHDR_MEMBER(camera.iidc.trigger_input)));
+  add(Switch("camera.iidc.trigger_active_low", OMNIHDR_MEMBER(camera.iidc.trigger_active_low)));
   add(Whole("camera.iidc.settle_frames", "a whole number", -1, 8,
             OMNIHDR_MEMBER(camera.iidc.settle_frames)));
   add(Whole("camera.iidc.white_balance_blue", "a register value", -1, 4095,
@@ -403,6 +406,7 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("trigger.limit", "a whole number", 0, 1'000'000'000, OMNIHDR_MEMBER(trigger.limit)));
   add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
   add(Switch("trigger.burst", OMNIHDR_MEMBER(trigger.burst)));
+  add(Switch("trigger.wired", OMNIHDR_MEMBER(trigger.wired)));
   add(Whole("trigger.rearm_after", "triggers", 0, 1000, OMNIHDR_MEMBER(trigger.rearm_after)));
 
   AddVehicleKeys(keys);

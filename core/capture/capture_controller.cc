@@ -35,19 +35,6 @@ std::string PixelFault(const CameraFrame& frame, const CameraDescription& descri
       frame.pixels);
 }
 
-MissReason ReasonOf(ErrorKind refusal) {
-  switch (refusal) {
-    case ErrorKind::kUnavailable:
-      return MissReason::kNoCamera;
-    case ErrorKind::kTemporary:
-      return MissReason::kCameraBusy;
-    case ErrorKind::kCannotCreate:
-      return MissReason::kStorageStop;
-    default:
-      return MissReason::kCameraError;
-  }
-}
-
 // A machine whose clock nobody keeps may be off by minutes; the receiver's time is at most one
 // report late.
 void UseGnssTime(FrameRecord& record, HostTime moment) {
@@ -61,6 +48,19 @@ void UseGnssTime(FrameRecord& record, HostTime moment) {
 }
 
 }  // namespace
+
+MissReason CaptureController::ReasonOf(ErrorKind refusal) {
+  switch (refusal) {
+    case ErrorKind::kUnavailable:
+      return MissReason::kNoCamera;
+    case ErrorKind::kTemporary:
+      return MissReason::kCameraBusy;
+    case ErrorKind::kCannotCreate:
+      return MissReason::kStorageStop;
+    default:
+      return MissReason::kCameraError;
+  }
+}
 
 std::string_view ToString(MissReason reason) {
   switch (reason) {
@@ -76,6 +76,8 @@ std::string_view ToString(MissReason reason) {
       return "no-buffer";
     case MissReason::kSourceLost:
       return "source-lost";
+    case MissReason::kNotExposed:
+      return "not-exposed";
   }
   return "unknown";
 }
@@ -95,7 +97,8 @@ CaptureController::CaptureController(BracketPlan plan, CameraDescription descrip
       description_(std::move(description)),
       options_(options),
       next_(next),
-      retakes_(std::min(options.retakes, Value(next))) {}
+      retakes_(std::min(options.retakes, Value(next))),
+      edges_(options.edge_tolerance) {}
 
 void CaptureController::SetCamera(BracketPlan plan, CameraDescription description,
                                   const ExposureTolerance& tolerance) {
@@ -129,7 +132,8 @@ ExposureRequest CaptureController::NextRequest(const TriggerEvent& event) {
 
 CaptureController::Upcoming CaptureController::upcoming() const {
   std::lock_guard lock(mutex_);
-  const TriggerId index{Value(next_) - retakes_};
+  // A frame that waits for its edge has had its exposure already.
+  const TriggerId index{Value(next_) - retakes_ + waiting_frames_.size()};
   return {plan_.StepForTrigger(index), plan_.ForTrigger(index)};
 }
 
@@ -149,6 +153,10 @@ void CaptureController::AddLost(const LostEvents& lost, HostTime time) {
     if (i >= options_.max_lost_lines || !ReserveLines(frames)) {
       counts_.lost_unlisted += lost.count - i;
       return;
+    }
+    if (options_.wired) {
+      ObserveLostEdge(time, lost.reason);
+      continue;
     }
     // Where the lost one was is not known: only its place in the order is.
     TriggerEvent unknown_place;
@@ -174,6 +182,7 @@ void CaptureController::EndBrokenBurst(const TriggerEvent& event) {
 void CaptureController::OnLost(const LostEvents& lost) {
   std::lock_guard lock(mutex_);
   AddLost(lost, clock_.Now());
+  if (options_.wired) PairWaitingFrames();
   SubmitEnded();
 }
 
@@ -209,7 +218,9 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
       accepted.time = request.trigger_time;
       accepted.odometer_m = request.odometer_m;
     }
-    if (burst_before) {
+    if (options_.wired) {
+      ObserveEdge(request, request.trigger_time);
+    } else if (burst_before) {
       OpenMissed(request, MissReason::kCameraBusy, "the burst before has not ended");
     } else if (options_.burst) {
       BeginBurst(request);
@@ -218,6 +229,7 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
     }
   }
   if (!burst_before) CommandWaiting();
+  if (options_.wired) PairWaitingFrames();
   SubmitEnded();
   return accepted;
 }
@@ -312,9 +324,9 @@ bool CaptureController::TakeAgain(const ExposureRequest& request) {
     return true;
   }
   if (plan_.frames_per_position() != 1) return false;
-  const std::size_t back = Value(next_) - Value(request.trigger);
-  if (back == 0 || back > planned_.size()) return false;
-  const std::uint64_t index = planned_[planned_.size() - back].index;
+  const Planned* planned = FindPlanned(request.trigger);
+  if (planned == nullptr) return false;
+  const std::uint64_t index = planned->index;
   // It is to be taken again already, with one before it.
   if (index >= Value(next_) - retakes_) return false;
   retaken_times_ = retaken_index_ == index ? retaken_times_ + 1 : 1;
@@ -325,16 +337,31 @@ bool CaptureController::TakeAgain(const ExposureRequest& request) {
   return false;  // the frame that was not proved has its line all the same
 }
 
-void CaptureController::OnFrame(CameraFrame frame) {
+CaptureController::Planned* CaptureController::FindPlanned(TriggerId trigger) {
+  const std::uint64_t back = Value(next_) - Value(trigger);
+  if (back == 0 || back > planned_.size()) return nullptr;
+  return &planned_[planned_.size() - back];
+}
+
+std::optional<TriggerId> CaptureController::OnFrame(CameraFrame frame) {
   std::lock_guard lock(mutex_);
+  std::uint64_t gap = 0;
   if (last_camera_counter_ && frame.camera_counter > *last_camera_counter_ + 1) {
-    counts_.camera_gaps += frame.camera_counter - *last_camera_counter_ - 1;
+    gap = frame.camera_counter - *last_camera_counter_ - 1;
+    counts_.camera_gaps += gap;
   }
   last_camera_counter_ = frame.camera_counter;
   frameless_ = 0;
   if (frame.clock_jumps > camera_jumps_) counts_.clock_jumps += frame.clock_jumps - camera_jumps_;
   camera_jumps_ = frame.clock_jumps;
+  if (frame.wired) return OnWiredFrame(std::move(frame), gap);
+  const TriggerId trigger = frame.trigger;
+  TakeFrame(std::move(frame));
+  SubmitEnded();
+  return trigger;
+}
 
+void CaptureController::TakeFrame(CameraFrame frame) {
   const TriggerId trigger = frame.trigger;
   const ExposureRequest* request = ledger_.FindOpen(trigger);
   if (request == nullptr) {
@@ -350,10 +377,9 @@ void CaptureController::OnFrame(CameraFrame frame) {
   if (status == FrameStatus::kOk) {
     const ExposureCheck check =
         VerifyExposure(request->exposure, frame.measured_exposure, frame.proof, options_.tolerance);
-    if (!check.usable) {
+    if (!check.usable && !(frame.wired && TakeAsAnotherStep(*request, frame))) {
       if (TakeAgain(*request)) {
         CommandWaiting();
-        SubmitEnded();
         return;
       }
       status = FrameStatus::kExposureMismatch;
@@ -365,7 +391,6 @@ void CaptureController::OnFrame(CameraFrame frame) {
   }
   ledger_.Resolve(trigger, status, std::move(detail), std::move(frame));
   CommandWaiting();
-  SubmitEnded();
 }
 
 void CaptureController::OnCameraLost(const std::string& reason) {
@@ -374,6 +399,10 @@ void CaptureController::OnCameraLost(const std::string& reason) {
   camera_jumps_ = 0;
   frameless_ = 0;
   waiting_.clear();
+  // No edge is told of any more for what came before.
+  while (!waiting_frames_.empty()) GiveUpWaitingFrames(waiting_frames_.front().until);
+  if (options_.wired) counts_.edges_without_frame += ledger_.open();
+  edges_.Clear();
   ledger_.FailOpen(FrameStatus::kCameraTimeout, fmt::format("the camera has gone: {}", reason));
   SubmitEnded();
 }
@@ -381,9 +410,11 @@ void CaptureController::OnCameraLost(const std::string& reason) {
 void CaptureController::OnTime() {
   std::lock_guard lock(mutex_);
   GiveUpWaiting();
+  GiveUpWaitingFrames(clock_.Now());
   const std::size_t open = ledger_.open();
   ledger_.Expire(clock_.Now());
   frameless_ += open - ledger_.open();
+  if (options_.wired) counts_.edges_without_frame += open - ledger_.open();
   if (!waiting_.empty() && clock_.Now() >= ask_again_) CommandWaiting();
   SubmitEnded();
 }
@@ -392,6 +423,9 @@ std::optional<HostTime> CaptureController::NextDeadline() const {
   std::lock_guard lock(mutex_);
   std::optional<HostTime> next = ledger_.NextDeadline();
   if (!waiting_.empty() && (!next || ask_again_ < *next)) next = ask_again_;
+  if (!waiting_frames_.empty() && (!next || waiting_frames_.front().until < *next)) {
+    next = waiting_frames_.front().until;
+  }
   return next;
 }
 
@@ -411,7 +445,16 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
   record.odometer_m = request.odometer_m;
   record.status = outcome.status;
   record.detail = std::move(outcome.detail);
-  record.utc = clock_.NowUtc() - (clock_.Now() - request.trigger_time);
+  if (options_.wired) {
+    if (!request.unseen_edge.empty()) {
+      // Its time is the camera's, when that took a picture.
+      if (outcome.frame && outcome.frame->wired) record.trigger_time = outcome.frame->wired->at;
+      record.detail += (record.detail.empty() ? "" : ": ") + request.unseen_edge;
+    } else if (record.status == FrameStatus::kCameraTimeout && !outcome.frame && camera_known_) {
+      record.detail += "; the pulse did not reach the camera, or its frame was lost";
+    }
+  }
+  record.utc = clock_.NowUtc() - (clock_.Now() - record.trigger_time);
   if (utc_ != nullptr) {
     const UtcQuality quality = utc_->Quality();
     record.utc_source = quality.synchronised ? "system-synchronised" : kFreeClock;
@@ -435,6 +478,13 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
     if (record.proof == ExposureProof::kFile) record.step.reset();
     record.timestamp = frame.mid_exposure;
     record.timestamp_error = frame.mid_exposure_error;
+    // The edge is stamped by the kernel, and the camera's own time only says that it is the one.
+    if (frame.wired && request.unseen_edge.empty()) {
+      const auto exposure = Nanoseconds(std::llround(record.exposure.time.seconds() * 1e9));
+      record.timestamp = request.trigger_time + exposure / 2;
+      record.timestamp_error =
+          std::chrono::abs(frame.wired->at - request.trigger_time) + frame.wired->error;
+    }
     record.camera_time = frame.camera_time;
     record.temperature_c = frame.temperature_c;
     record.settings_readback_json = std::move(frame.settings_readback_json);

@@ -15,6 +15,7 @@
 #include "core/base/clock.h"
 #include "core/base/result.h"
 #include "core/capture/bracket_plan.h"
+#include "core/capture/edge_pairing.h"
 #include "core/capture/exposure_verifier.h"
 #include "core/capture/trigger_ledger.h"
 #include "core/ports/camera.h"
@@ -59,6 +60,13 @@ struct CaptureOptions {
   bool burst = false;
   // How soon a busy camera is asked again within a burst.
   Nanoseconds burst_retry = std::chrono::milliseconds(2);
+  // The camera hangs on the trigger's wire and exposes by itself: edges are observed, and frames
+  // are paired with them.
+  bool wired = false;
+  // How far from its edge an exposure may begin, beside what the camera's own time may be off.
+  Nanoseconds edge_tolerance = std::chrono::milliseconds(10);
+  // How long a frame waits for an edge that has not been told yet.
+  Nanoseconds edge_patience = std::chrono::milliseconds(300);
 };
 
 // Why a trigger got no exposure (FrameStatus::kMissedTrigger).
@@ -69,8 +77,9 @@ enum class MissReason {
   kNoBuffer,     // the storage is slower than the triggers
   kStorageStop,  // a limit of the storage is reached: nothing more is put on it
   kSourceLost,   // the trigger source lost the event before it was read
+  kNotExposed,   // a wired camera took no picture at this edge
 };
-inline constexpr std::size_t kMissReasonCount = 6;
+inline constexpr std::size_t kMissReasonCount = 7;
 std::string_view ToString(MissReason reason);
 
 struct CaptureCounts {
@@ -82,6 +91,11 @@ struct CaptureCounts {
   std::array<std::uint64_t, kMissReasonCount> missed{};  // lines by MissReason
   std::uint64_t retaken = 0;      // steps taken again because their exposure was not proved
   std::uint64_t clock_jumps = 0;  // of the camera's clock against the host's
+  // Of a wired camera: edges that got no frame, frames that no edge was seen for (a line each), and
+  // frames it took while disarmed.
+  std::uint64_t edges_without_frame = 0;
+  std::uint64_t frames_without_edge = 0;
+  std::uint64_t frames_disarmed = 0;
 };
 
 struct AcceptedTrigger {
@@ -103,6 +117,15 @@ struct AcceptedTrigger {
 // frame a position, by the next trigger, and the bracket goes on behind it, put off by the triggers
 // that this took; in a burst at once, at the same position and for the same trigger. The frame that
 // was not proved is journaled in the first case and replaced in the second.
+//
+// A wired camera (CaptureOptions::wired) is commanded nothing: a trigger is an edge that was seen,
+// and a frame belongs to the edge at which its exposure began (EdgePairing). An edge before one
+// that has its frame ends without one, and the camera's counter says why: no gap = the camera took
+// no picture, a gap = the frame was lost on its way. A frame that no edge was told for within
+// edge_patience gets a trigger of its own, as do edges that the source knows to have lost. Nobody
+// chooses when such a camera exposes, so its exposure is proved against every step of the bracket:
+// one of another step than planned is a good picture of that step, and the planned one is taken
+// again as above.
 class CaptureController {
  public:
   // Commands the camera; same law and errors as Camera::Trigger, and kCannotCreate when there is no
@@ -123,12 +146,16 @@ class CaptureController {
                  const ExposureTolerance& tolerance);
   bool camera_known() const;  // SetCamera was called
 
+  // Whether frames without an edge are pictures that somebody wants. Wired cameras only.
+  void SetArmed(bool armed);
+
   // Accepts a trigger, whatever becomes of its frame: a busy or absent camera or an empty buffer
   // pool end in a missed-trigger line. kTemporary when not even a line has room.
   Result<AcceptedTrigger> OnTrigger(const TriggerEvent& event);
   // Events that no trigger will tell of: a missed line each, up to max_lost_lines.
   void OnLost(const LostEvents& lost);
-  void OnFrame(CameraFrame frame);
+  // The trigger that the frame belongs to, as far as that is known when it comes.
+  std::optional<TriggerId> OnFrame(CameraFrame frame);
   // All frames on their way are lost with the camera.
   void OnCameraLost(const std::string& reason);
   // Ends triggers whose frame is overdue, and asks a busy camera again. Call at NextDeadline().
@@ -173,7 +200,18 @@ class CaptureController {
   void CommandWaiting();
   void GiveUpWaiting();
   bool TakeAgain(const ExposureRequest& request);
+  void TakeFrame(CameraFrame frame);
+  // Wired cameras (capture_wired.cc).
+  void ObserveEdge(const ExposureRequest& request, HostTime earliest);
+  void ObserveLostEdge(HostTime time, const std::string& reason);
+  std::optional<TriggerId> OnWiredFrame(CameraFrame frame, std::uint64_t gap);
+  void PairWaitingFrames();
+  void TakePaired(CameraFrame frame, const EdgePairing::Match& match, std::uint64_t gap);
+  void TakeWithoutEdge(CameraFrame frame);
+  void GiveUpWaitingFrames(HostTime until);
+  bool TakeAsAnotherStep(const ExposureRequest& request, const CameraFrame& frame);
   HostTime FrameDeadline(const ExposureRequest& request) const;
+  static MissReason ReasonOf(ErrorKind refusal);
   void CountCameraMiss(ErrorKind kind);
   void SubmitEnded();
   CaptureLine MakeLine(TriggerOutcome outcome);
@@ -199,6 +237,7 @@ class CaptureController {
     std::uint64_t retakes = 0;
     int step = 0;
   };
+  Planned* FindPlanned(TriggerId trigger);
   std::deque<Planned> planned_;
   // Of the bracket's order, the place that was last taken again, and how often.
   std::optional<std::uint64_t> retaken_index_;
@@ -213,6 +252,16 @@ class CaptureController {
   HostTime ask_again_;
   MissReason waits_for_ = MissReason::kCameraBusy;
   std::map<TriggerId, int> burst_retakes_;
+  // Of a wired camera.
+  struct WaitingFrame {
+    CameraFrame frame;
+    std::uint64_t gap = 0;
+    HostTime until;
+  };
+  EdgePairing edges_;
+  std::deque<WaitingFrame> waiting_frames_;  // for their edge
+  HostTime last_edge_;
+  std::optional<HostTime> armed_since_;
   std::uint64_t frameless_ = 0;
   std::uint64_t camera_jumps_ = 0;  // as the camera counts them
   CaptureCounts counts_;

@@ -28,6 +28,9 @@ struct CameraInfo {
   Nanoseconds min_trigger_interval{0};
   // What the camera can say about the exposure a frame really had.
   ExposureProof proof = ExposureProof::kNone;
+  // It hangs on the wire whose edges are observed, and exposes by itself at every pulse with what
+  // Prepare has set: see Camera::Trigger.
+  bool wired = false;
   // JSON object for session.json's additive keys, empty for none.
   std::string extra_json;
   // What belongs beside session.json: a rig's calibration (layout rig), its masks.
@@ -41,6 +44,9 @@ struct ExposureRequest {
   HostTime trigger_time;
   // Where the vehicle is when the trigger fires, as the odometer says.
   std::optional<double> odometer_m;
+  // Of a camera that is wired to the trigger: why the edge itself was not seen, so that
+  // trigger_time is not its own; empty = it was seen.
+  std::string unseen_edge;
 };
 
 // What a recording says about the moment of a frame: it is told on when the frame is replayed, for
@@ -52,10 +58,18 @@ struct RecordedMoment {
   std::optional<Pose> pose;
 };
 
+// When the exposure of a frame began that nobody commanded.
+struct WiredStart {
+  HostTime at;
+  Nanoseconds error{0};  // how far `at` may be off, either way
+};
+
 // A frame as it comes from the camera. Buffers circulate with a status: a damaged or late frame is
 // delivered and marked, never silently left out.
 struct CameraFrame {
   TriggerId trigger{};
+  // Of a wired camera's frames: the exposure began by itself then, and `trigger` says nothing.
+  std::optional<WiredStart> wired;
   FrameStatus status = FrameStatus::kOk;  // kOk, kCorrupt or kMissedTrigger
   std::string detail;                     // when not ok
   // Corrupt, but some of a rig's sensors are whole: the pixels are kept beside the journal's line,
@@ -100,11 +114,13 @@ class Camera {
   virtual Status Start() = 0;
   virtual void Stop() = 0;
   // Commands the exposure. Returns at once; the picture arrives through Receive. kTemporary when
-  // the camera is still busy with the picture before; kUnavailable when it has gone.
+  // the camera is still busy with the picture before; kUnavailable when it has gone. A wired camera
+  // (CameraInfo::wired) is told that an edge of its wire was seen, at request.trigger_time: it
+  // commands nothing, and its frames come with `wired` whether or not their edge was told.
   virtual Status Trigger(const ExposureRequest& request) = 0;
   // The exposure that the next trigger will probably ask for: a camera which takes a while to set
   // it does so in the pause before, and the trigger finds it set. A hint: another may be asked for.
-  // Returns at once, says nothing. From the thread of Receive.
+  // A wired camera takes its next picture with it. Returns at once, says nothing. Any thread.
   virtual void Prepare(const Exposure& /*next*/) {}
   // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable
   // when the device has gone and Open must be called again.

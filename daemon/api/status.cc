@@ -116,6 +116,7 @@ Json StatusToJson(const StatusReport& s) {
         {"clock_jumps", s.capture.clock_jumps}}},
       {"armed", s.armed},
       {"trigger_source", s.trigger_source},
+      {"trigger_wired", s.trigger_wired},
       {"triggers",
        {{"accepted", s.triggers},
         {"in_flight", s.triggers_in_flight},
@@ -126,6 +127,9 @@ Json StatusToJson(const StatusReport& s) {
         {"lost_unlisted", s.capture.lost_unlisted},
         {"without_session", s.triggers_without_session},
         {"retaken", s.capture.retaken},
+        {"edges_without_frame", s.capture.edges_without_frame},
+        {"frames_without_edge", s.capture.frames_without_edge},
+        {"frames_disarmed", s.capture.frames_disarmed},
         {"missed", missed}}},
       {"positions_triggered", s.positions_triggered},
       {"frames_recorded", s.lines[FrameStatus::kOk]},
@@ -261,6 +265,17 @@ std::string StatusToMetrics(const StatusReport& s) {
     m.One("omnihdr_utc_error_seconds", "gauge", "Bound of the error of the machine's UTC.",
           *s.utc.error_s);
   }
+  if (s.trigger_wired) {
+    m.One("omnihdr_edges_without_frame_total", "counter",
+          "Edges of a wired camera's trigger that got no frame.",
+          AsDouble(s.capture.edges_without_frame));
+    m.One("omnihdr_frames_without_edge_total", "counter",
+          "Frames of a wired camera that no edge was seen for.",
+          AsDouble(s.capture.frames_without_edge));
+    m.One("omnihdr_frames_disarmed_total", "counter",
+          "Frames that a wired camera took while the daemon was disarmed.",
+          AsDouble(s.capture.frames_disarmed));
+  }
   m.Family("omnihdr_frames_total", "counter", "Journal lines of the session by status.");
   for (const FrameStatus status : kStatuses) {
     m.Sample("omnihdr_frames_total", fmt::format("status=\"{}\"", ToString(status)),
@@ -383,7 +398,8 @@ std::string StatusForPeople(const Json& s) {
                              camera.at("ready").get<bool>() ? "" : " (not ready)"));
   line("positions",
        fmt::format("{} triggered by {}", s.at("positions_triggered").get<std::int64_t>(),
-                   s.at("trigger_source").get<std::string>()));
+                   s.at("trigger_source").get<std::string>() +
+                       (s.value("trigger_wired", false) ? ", the camera on its wire" : "")));
   const Json& triggers = s.at("triggers");
   if (const auto waiting = triggers.value("without_session", std::uint64_t{0}); waiting > 0) {
     line("triggers", fmt::format("{} missed before there was a session", waiting));
@@ -396,6 +412,11 @@ std::string StatusForPeople(const Json& s) {
                    count.get<std::uint64_t>());
   }
   if (!missed.empty()) line("missed", missed + " since the start");
+  if (s.value("trigger_wired", false)) {
+    line("wire", fmt::format("{} edges without frame, {} frames without edge",
+                             triggers.value("edges_without_frame", std::uint64_t{0}),
+                             triggers.value("frames_without_edge", std::uint64_t{0})));
+  }
   std::string drops;
   for (const auto& [reason, count] : s.at("drops").items()) {
     if (count.get<std::uint64_t>() == 0) continue;

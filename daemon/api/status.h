@@ -37,6 +37,7 @@ struct StatusReport {
 
   bool armed = false;
   std::string trigger_source;
+  bool trigger_wired = false;                  // the camera hangs on its wire
   std::uint64_t triggers = 0;                  // of the session, earlier runs included
   std::uint64_t triggers_in_flight = 0;        // not yet journaled
   std::uint64_t triggers_without_session = 0;  // of those: missed, waiting for a session's journal

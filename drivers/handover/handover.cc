@@ -115,6 +115,18 @@ Status Handover::Trigger(const ExposureRequest& request) {
   return {};
 }
 
+Status Handover::CheckRunning(const char* doing) const {
+  std::lock_guard lock(mutex_);
+  if (!away_.empty()) return Forward(Unavailable("", away_));
+  if (!running_) return Forward(Unavailable(doing, "not started"));
+  return {};
+}
+
+bool Handover::HasRoom() const {
+  std::lock_guard lock(mutex_);
+  return frames_.size() < kMaxWaiting;
+}
+
 Result<CameraFrame> Handover::Receive(Nanoseconds timeout) {
   std::unique_lock lock(mutex_);
   changed_.wait_for(lock, timeout,

@@ -60,6 +60,8 @@ class Handover {
 
   // --- Camera::Trigger and Camera::Receive
   Status Trigger(const ExposureRequest& request);
+  // kUnavailable: not started, or gone.
+  Status CheckRunning(const char* doing) const;
   Result<CameraFrame> Receive(Nanoseconds timeout);
   // --- Camera::Prepare: the last one counts; one that Trigger would refuse is no hint.
   void Prepare(const Exposure& next);
@@ -70,6 +72,8 @@ class Handover {
   // What Prepare said since the last call. Take returns early, with nothing, when there is news.
   std::optional<Exposure> TakeHint();
   void Deliver(CameraFrame frame);
+  // Whether no more frames wait than may; for those that nobody asked for.
+  bool HasRoom() const;
   // The oldest request that was taken is at its end: the next may come.
   void Done();
   void Finish(CameraFrame frame);  // Deliver and Done at once

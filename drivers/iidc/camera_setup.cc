@@ -169,6 +169,10 @@ Status IidcCameraOptions::Validate() const {
   if (trigger_mode != 0 && trigger_mode != 14 && trigger_mode != 15) {
     return Fail(ErrorKind::kConfig, "trigger_mode: {}: expected 0, 14 or 15", trigger_mode);
   }
+  OMNIHDR_TRY(CheckOption("trigger_input", trigger_input, 0, 3));
+  if (wired && trigger_mode == 15) {
+    return Fail(ErrorKind::kConfig, "trigger_mode: 15: expected 0 or 14 for a wired camera");
+  }
   OMNIHDR_TRY(CheckOption("settle_frames", settle_frames, -1, 8));
   OMNIHDR_TRY(CheckOption("white_balance_blue", white_balance_blue, -1, 4095));
   OMNIHDR_TRY(CheckOption("white_balance_red", white_balance_red, -1, 4095));
@@ -268,6 +272,15 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
   info.proof = compressed || (camera.picture.embedded & kEmbeddedShutter) != 0
                    ? ExposureProof::kEmbedded
                    : ExposureProof::kReadback;
+  info.wired = options.wired;
+  constexpr std::uint32_t kNeeded = kEmbeddedShutter | kEmbeddedCycleTime;
+  if (options.wired && !compressed && (camera.picture.embedded & kNeeded) != kNeeded) {
+    return Fail(
+        ErrorKind::kConfig,
+        "trigger.wired: FRAME_INFO (0x12f8): {:#05x}: expected a camera that writes shutter "
+        "and cycle time into its frames: nothing else tells what a pulse made of them",
+        camera.picture.embedded);
+  }
   info.extra_json = ExtraJson(camera, settled, options);
   return camera;
 }

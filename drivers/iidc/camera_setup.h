@@ -37,6 +37,10 @@ struct IidcCameraOptions {
   int top = 0;
   int packet_bytes = 0;  // 0 = as the camera recommends
   int trigger_mode = 0;  // 0, 14 or 15
+  // The camera exposes by itself at pulses on its input (trigger mode 0 or 14): see IidcCamera.
+  bool wired = false;
+  int trigger_input = 0;  // 0 to 3
+  bool trigger_active_low = false;
   // Pictures thrown away after every change of exposure; -1 = as the model table says.
   int settle_frames = -1;
   int white_balance_blue = -1;  // -1 = as the camera has it

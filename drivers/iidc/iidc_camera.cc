@@ -24,6 +24,7 @@ constexpr Nanoseconds kIdleLook = milliseconds(50);
 constexpr Nanoseconds kSlice = milliseconds(50);
 // The exposure begins no later than this after the trigger's write has been answered.
 constexpr Nanoseconds kLongestStart = milliseconds(2);
+constexpr std::size_t kMostEdges = 64;
 // Chunks thrown away at once while nobody waits for a frame.
 constexpr int kMaxStrayChunks = 1000;
 
@@ -88,7 +89,7 @@ Status IidcCamera::Start() {
     return Forward(std::move(begun).error(), "IIDC camera: start");
   }
   handover_.Start("iidc-camera", [this](std::stop_token stop, Stage& stage) {
-    return RunShots(std::move(stop), stage);
+    return options_.wired ? RunWired(std::move(stop), stage) : RunShots(std::move(stop), stage);
   });
   return {};
 }
@@ -102,7 +103,14 @@ void IidcCamera::Stop() {
   });
 }
 
-Status IidcCamera::Trigger(const ExposureRequest& request) { return handover_.Trigger(request); }
+Status IidcCamera::Trigger(const ExposureRequest& request) {
+  if (!options_.wired) return handover_.Trigger(request);
+  OMNIHDR_TRY(handover_.CheckRunning("edge: "));
+  std::lock_guard lock(mutex_);
+  edges_.push_back(request.trigger_time);
+  if (edges_.size() > kMostEdges) edges_.pop_front();
+  return {};
+}
 
 Result<CameraFrame> IidcCamera::Receive(Nanoseconds timeout) { return handover_.Receive(timeout); }
 
@@ -353,7 +361,8 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
 
   frame.camera_counter = Count(info.counter);
 
-  const Nanoseconds exposure = FromSeconds(in_force_->measured.time.seconds());
+  const Nanoseconds exposure =
+      FromSeconds(frame.measured_exposure.value_or(in_force_->measured).time.seconds());
   HostTime start = sent.before + (sent.after - sent.before) / 2;
   if (info.cycle_time) {
     if (const auto cycle_ns = CycleTimeNanoseconds(*info.cycle_time)) {

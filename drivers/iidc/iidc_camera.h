@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -27,6 +28,12 @@ namespace omnihdr::iidc {
 // exposure is given up; when it comes later it is thrown away, for its time stamp is older than the
 // next trigger. Registers that fail at a trigger give a kMissedTrigger frame that says so; three
 // such in a row, or a camera that has gone, end in kUnavailable.
+//
+// Wired (IidcCameraOptions::wired), it exposes at every pulse on its input with what Prepare has
+// set last. Three pictures by software at each start, thrown away, fit its clock to the host's;
+// after that the edges that Trigger tells of keep the fit. A clock that has jumped is fitted in the
+// same way again, and the pulses of that moment find no camera. Frames come as their pulses made
+// them, and say when (CameraFrame::wired).
 class IidcCamera final : public Camera {
  public:
   IidcCamera(IidcCameraOptions options, std::unique_ptr<LinkFinder> finder,
@@ -65,6 +72,14 @@ class IidcCamera final : public Camera {
   };
 
   Status RunShots(std::stop_token stop, Stage& stage);
+  // Wired (wired_shots.cc).
+  Status RunWired(std::stop_token stop, Stage& stage);
+  Status WireUp(const std::stop_token& stop);
+  Status FitClock(const std::stop_token& stop);
+  Status PrepareWired();
+  Status ReadWired();
+  void DeliverWired(RawFrame raw);
+  std::optional<HostTime> TakeEdge(HostTime near, Nanoseconds within);
   Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
                                                  std::stop_token stop);
   Status SetExposure(const Exposure& exposure);
@@ -97,9 +112,15 @@ class IidcCamera final : public Camera {
   std::uint32_t discarded_ = 0;  // since last_counter_
   int failures_ = 0;
 
+  // Wired, of the worker.
+  std::optional<Exposure> wanted_;
+  std::uint64_t fitted_jumps_ = 0;
+  Nanoseconds arrival_delay_{0};  // from an exposure's end to its frame's arrival, as last seen
+
   Handover handover_{"IIDC camera"};
   mutable std::mutex mutex_;
-  Counts counts_;  // with mutex_
+  Counts counts_;               // with mutex_
+  std::deque<HostTime> edges_;  // with mutex_: told of by Trigger, the newest last
 };
 
 // Where the options say that the camera is: this machine's USB, recorded or not, or its FireWire.

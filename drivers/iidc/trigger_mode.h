@@ -22,6 +22,9 @@ inline constexpr std::uint32_t kSoftwareSource = 7;
 // overlap the readout) or 15 (`pictures` pictures a trigger). Read back. kConfig: the camera has no
 // such mode or no software trigger.
 Status SetUpSoftwareTrigger(const Registers& registers, int mode, int pictures = 1);
+// The camera exposes by itself at a pulse on its input `source` (0 to 3), in mode 0 or 14. Read
+// back. kConfig: it has no such input or mode, or not that polarity.
+Status SetUpWiredTrigger(const Registers& registers, int mode, int source, bool active_low);
 // Free running.
 Status SwitchTriggerOff(const Registers& registers);
 

@@ -96,6 +96,7 @@ Result<CameraInfo> SimCamera::Open() {
     opened_at_ = clock_.Now();
     counter_ = 0;
     last_exposure_.reset();
+    prepared_.reset();
   }
   CameraInfo info;
   info.description = simulation.Camera(optics_ ? &optics_->rig() : nullptr);
@@ -105,6 +106,7 @@ Result<CameraInfo> SimCamera::Open() {
   // What the renderer keeps up with, with a quarter in reserve: other work shares the processor.
   info.min_trigger_interval = std::max(FromSeconds(options_.readout_s), render_time_ * 5 / 4);
   info.proof = ExposureProof::kEmbedded;
+  info.wired = options_.wired;
   info.extra_json = FormatSimulation(simulation);
   return info;
 }
@@ -189,11 +191,36 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
   std::lock_guard lock(mutex_);
   if (!away_.empty()) return Fail(ErrorKind::kUnavailable, "simulated camera: {}", away_);
   if (!running_) return Fail(ErrorKind::kUnavailable, "simulated camera: trigger: not started");
+  const double odometer_m = request.odometer_m.value_or(
+      static_cast<double>(Value(request.trigger)) * options_.interval_m);
+  if (!options_.wired) return Begin(request, clock_.Now(), odometer_m);
+  ExposureRequest pulse = request;
+  pulse.exposure = prepared_.value_or(request.exposure);
+  const Status begun = Begin(pulse, std::min(request.trigger_time, clock_.Now()), odometer_m);
+  // A sensor that is busy does not see the pulse, and nobody is told.
+  if (!begun && begun.error().kind == ErrorKind::kTemporary) return {};
+  return begun;
+}
+
+void SimCamera::Prepare(const Exposure& next) {
+  std::lock_guard lock(mutex_);
+  prepared_ = next;
+}
+
+void SimCamera::Pulse() {
+  std::lock_guard lock(mutex_);
+  if (!running_ || !away_.empty() || !prepared_) return;
+  ExposureRequest pulse;
+  pulse.trigger = TriggerId{counter_};
+  pulse.exposure = *prepared_;
+  [[maybe_unused]] const Status begun = Begin(pulse, clock_.Now(), std::max(0.0, last_odometer_m_));
+}
+
+Status SimCamera::Begin(const ExposureRequest& request, HostTime start, double odometer_m) {
   const FaultOptions& faults = options_.faults;
-  const HostTime now = clock_.Now();
-  if (now < busy_until_) {
+  if (start < busy_until_) {
     return Fail(ErrorKind::kTemporary, "simulated camera: busy with the picture before for {} ms",
-                (busy_until_ - now).count() / 1'000'000 + 1);
+                (busy_until_ - start).count() / 1'000'000 + 1);
   }
   if (shots_.size() + static_cast<std::size_t>(rendering_) + frames_.size() >= kMaxOnTheirWay) {
     return Fail(ErrorKind::kTemporary, "simulated camera: busy: {} pictures are on their way",
@@ -206,9 +233,8 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
   }
   Shot shot;
   shot.request = request;
-  shot.start = now;
-  shot.odometer_m = request.odometer_m.value_or(static_cast<double>(Value(request.trigger)) *
-                                                options_.interval_m);
+  shot.start = start;
+  shot.odometer_m = odometer_m;
   shot.counter = counter_++;
   shot.in_force = request.exposure;
   if (Chance(faults.exposure_probability, faults.exposure, request.trigger, 1)) {
@@ -218,7 +244,7 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
   last_exposure_ = request.exposure;
   shot.torn = Chance(faults.torn_probability, faults.torn, request.trigger, 2);
   shot.lost = Chance(faults.lost_probability, faults.lost, request.trigger, 3);
-  busy_until_ = now + FromSeconds(shot.in_force.time.seconds()) + FromSeconds(options_.readout_s);
+  busy_until_ = start + FromSeconds(shot.in_force.time.seconds()) + FromSeconds(options_.readout_s);
   last_odometer_m_ = shot.odometer_m;
   shots_.push_back(std::move(shot));
   changed_.notify_all();
@@ -325,7 +351,11 @@ void SimCamera::Develop(const Shot& shot, const std::shared_ptr<const Image<floa
   const Simulation& simulation = options_.simulation;
   Pending pending;
   CameraFrame& frame = pending.frame;
-  frame.trigger = shot.request.trigger;
+  if (options_.wired) {
+    frame.wired = WiredStart{shot.start, Nanoseconds(0)};
+  } else {
+    frame.trigger = shot.request.trigger;
+  }
   frame.camera_counter = shot.counter;
   frame.measured_exposure = shot.in_force;
   frame.proof = ExposureProof::kEmbedded;

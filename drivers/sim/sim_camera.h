@@ -42,6 +42,8 @@ struct SimCameraOptions {
   double readout_s = 0.02;  // sensor busy after the exposure, 0 to 10
   double latency_s = 0.0;   // further delay until the frame arrives, 0 to 60
   FaultOptions faults;
+  // It hangs on the trigger's wire: see SimCamera.
+  bool wired = false;
   Status Validate() const;  // kConfig error naming the option and its range
 };
 
@@ -50,6 +52,9 @@ struct SimCameraOptions {
 // been read out, or while four frames are on their way, is refused as busy. The frame's noise
 // depends on the noise seed and the trigger's number alone, so that a drive repeated gives the same
 // pixels.
+//
+// Wired, it takes what Trigger tells it for a pulse on its wire, and exposes with what Prepare has
+// set last; a pulse while it is busy is not seen by it. Pulse gives one that nobody tells of.
 class SimCamera final : public Camera {
  public:
   // `world` may be shared between cameras; null = made by the first Open. Options must be valid
@@ -63,6 +68,10 @@ class SimCamera final : public Camera {
   void Stop() override;
   Status Trigger(const ExposureRequest& request) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
+  void Prepare(const Exposure& next) override;
+
+  // A pulse on the wire; the vehicle is where the picture before was taken. Any thread.
+  void Pulse();
 
   // Pulls the plug (frames on their way are lost) and puts it back. Any thread.
   void Unplug();
@@ -88,6 +97,7 @@ class SimCamera final : public Camera {
     std::shared_ptr<const Image<float>> radiance;
   };
 
+  Status Begin(const ExposureRequest& request, HostTime start, double odometer_m);  // with mutex_
   Status RenderLoop(std::stop_token stop, Stage& stage);
   std::shared_ptr<const Image<float>> RenderAt(double odometer_m) const;
   std::shared_ptr<const Image<float>> FindCached(double odometer_m) const;     // with mutex_
@@ -120,6 +130,7 @@ class SimCamera final : public Camera {
   HostTime opened_at_;
   std::uint64_t counter_ = 0;
   std::optional<Exposure> last_exposure_;
+  std::optional<Exposure> prepared_;
   std::shared_ptr<const Image<std::uint8_t>> last_pixels_;  // render thread only
   std::unique_ptr<Stage> renderer_;
 };

@@ -53,6 +53,30 @@ bool SamePixels(const CameraFrame& a, const Image<std::uint8_t>& b) {
   return image.size() == b.size() && std::memcmp(image.data(), b.data(), b.size()) == 0;
 }
 
+TEST(SimCamera, OnTheTriggersWireAPulseExposesWithWhatWasPreparedAndSaysWhen) {
+  SimCameraOptions options = SmallOptions();
+  options.wired = true;
+  options.readout_s = 0.2;
+  SimCamera camera(options, SharedWorld());
+  const auto info = camera.Open();
+  ASSERT_TRUE(info);
+  EXPECT_TRUE(info->wired);
+  ASSERT_TRUE(camera.Start());
+  camera.Prepare({ExposureTime::Seconds(0.002), GainDb{0.0}});
+  const ExposureRequest told = Request(0, 0.5);
+  ASSERT_TRUE(camera.Trigger(told));
+  ASSERT_TRUE(camera.Trigger(Request(1, 0.5))) << "a busy sensor does not see it, and nobody knows";
+  const auto frame = camera.Receive(std::chrono::seconds(5));
+  ASSERT_TRUE(frame) << frame.error().message;
+  ASSERT_TRUE(frame->wired);
+  EXPECT_EQ(frame->wired->at, told.trigger_time);
+  EXPECT_EQ(frame->measured_exposure->time.seconds(), 0.002);
+  camera.Pulse();
+  const auto untold = camera.Receive(std::chrono::seconds(5));
+  ASSERT_TRUE(untold) << untold.error().message;
+  EXPECT_EQ(untold->camera_counter, frame->camera_counter + 1);
+}
+
 TEST(SimCamera, AFrameShowsTheWorldFromWhereTheOdometerSays) {
   const SimCameraOptions options = SmallOptions();
   SimCamera camera(options, SharedWorld());

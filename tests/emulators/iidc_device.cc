@@ -25,6 +25,7 @@ constexpr std::uint32_t kGamma = 0x818;
 constexpr std::uint32_t kTrigger = 0x830;
 constexpr std::uint32_t kFrameInfo = 0x12F8;
 constexpr std::uint32_t kSoftwareTrigger = 0x62C;
+constexpr std::uint32_t kSoftwareSource = 7;
 constexpr std::uint32_t kIsoEnable = 0x614;
 constexpr std::uint32_t kInitialize = 0x000;
 
@@ -177,8 +178,8 @@ void IidcDevice::ResetFeatures() {
   registers_[kGainAbsolute] = FromFloat(-6.0);
   registers_[kGainAbsolute + 4] = FromFloat(24.0);
   registers_[kGainAbsolute + 8] = FromFloat(0.0);
-  registers_[kTrigger - 0x300] = kPresent | 1U << 27 | 1U << 26 | 1U << 25 | 1U << 16 | 1U << 15 |
-                                 1U << 1 | 1U;  // software; modes 0, 14, 15
+  registers_[kTrigger - 0x300] = kPresent | 1U << 27 | 1U << 26 | 1U << 25 | 1U << 23 | 1U << 16 |
+                                 1U << 15 | 1U << 1 | 1U;  // input 0, software; modes 0, 14, 15
   registers_[kTrigger] = kPresent;
   settings_ = {{1000, GainRaw(0.0)}};
 
@@ -315,7 +316,7 @@ bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
       if ((value & kPresent) != 0) ResetFeatures();
       return true;
     case kSoftwareTrigger:
-      if ((value & kPresent) != 0) Trigger();
+      if ((value & kPresent) != 0) Trigger(kSoftwareSource);
       return true;
     case kFrameInfo:
       if (options_.embedded_info) {
@@ -353,9 +354,16 @@ std::uint32_t IidcDevice::ShutterWord(std::uint32_t raw) const {
   return options_.coarse_words ? raw & ~0xFU : raw;
 }
 
-void IidcDevice::Trigger() {
+void IidcDevice::Pulse() {
+  std::lock_guard lock(mutex_);
+  if (plugged_in_) Trigger(0);
+}
+
+void IidcDevice::Trigger(std::uint32_t source) {
   const HostTime now = clock_.Now();
-  const bool on = (registers_[kTrigger] & kOn) != 0 && (registers_[kIsoEnable] & kPresent) != 0;
+  const bool on = (registers_[kTrigger] & kOn) != 0 &&
+                  (registers_[kTrigger] >> 21 & 7U) == source &&
+                  (registers_[kIsoEnable] & kPresent) != 0;
   if (!on || now < busy_until_) {
     ++triggers_refused_;
     return;

@@ -73,6 +73,8 @@ class IidcDevice {
     int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
   };
   void Set(const Faults& faults);
+  // A pulse on the camera's input 0: it exposes when its trigger is set to that.
+  void Pulse();
   void Unplug();
   // Comes back as after power-up.
   void PlugIn();
@@ -120,7 +122,7 @@ class IidcDevice {
   std::optional<std::uint32_t> ReadOne(std::uint64_t address) const;
   bool WriteOne(std::uint64_t address, std::uint32_t value);
   void WriteFeature(std::uint32_t offset, std::uint32_t value);
-  void Trigger();
+  void Trigger(std::uint32_t source);
   std::uint32_t ShutterWord(std::uint32_t raw) const;
   std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
   std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected

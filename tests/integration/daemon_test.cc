@@ -122,6 +122,33 @@ TEST_F(Daemon, TheCommandLineControlsIt) {
   EXPECT_EQ(RunOmnihdr({"no-such-command"}, directory()).first, 64);
 }
 
+TEST_F(Daemon, ACameraOnTheTriggersWireIsObservedAndItsBracketIsSetInAdvance) {
+  WriteConfig(
+      "[camera]\ndriver = \"sim\"\n[camera.sim]\nscene = \"tunnel\"\nwidth = 128\n"
+      "[trigger]\nsource = \"timer\"\ninterval_s = 0.4\nwired = true\nlimit = 6\n"
+      "armed_at_start = true\n[pipeline]\nenabled = false\n");
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["session"]["ended"] == true; }))
+      << daemon->Log();
+  const nlohmann::json status = StatusNow();
+  EXPECT_EQ(status["trigger_wired"], true);
+  EXPECT_EQ(status["triggers"]["frames_without_edge"], 0);
+  EXPECT_EQ(status["triggers"]["accepted"], 6);
+  const auto contents = ReadSession(session());
+  ASSERT_TRUE(contents);
+  ASSERT_TRUE(contents->info.bracket);
+  int good = 0;
+  for (const FrameRecord& record : contents->journal.frames) {
+    if (record.status != FrameStatus::kOk) continue;
+    ++good;
+    ASSERT_TRUE(record.step);
+    EXPECT_EQ(record.exposure.time,
+              contents->info.bracket->exposures[static_cast<std::size_t>(*record.step)]);
+    EXPECT_TRUE(record.timestamp_error) << "paired with its edge";
+  }
+  EXPECT_GT(good, 0) << daemon->Log();
+}
+
 TEST_F(Daemon, TheServiceManagerHearsThatItServesAndThatItLives) {
   WriteConfig(SimCamera());
   const Fd manager(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));

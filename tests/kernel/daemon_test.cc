@@ -155,6 +155,54 @@ TEST_F(Appliance, ACameraAndAChipThatComeAfterItAreFound) {
   Stop();
 }
 
+TEST_F(Appliance, ACameraOnTheTriggersWireIsObservedAndEveryEdgeAndFrameIsAccountedFor) {
+  Launch("[0.001, 0.004, 0.016]", "wired = true\n" + TriggerLine());
+  ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
+  ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
+  const double ladder[] = {0.001, 0.004, 0.016};
+  const auto prepared = [&](double seconds) {
+    return Eventually([&] {
+      const bool wired = (device_->Register(0x830) >> 21 & 7U) == 0U;
+      return wired && (device_->Register(0x81C) & 0xFFFU) == device_->ShutterRaw(seconds);
+    });
+  };
+  const auto pulse = [&](bool at_the_camera, bool at_the_line) {
+    if (at_the_camera) device_->Pulse();
+    if (at_the_line) chip_.Pulse(kTrigger);
+    ++edges_;
+  };
+  std::vector<HostTime> around = {clock_.Now()};
+  for (std::size_t i = 0; i < 6; ++i) {
+    ASSERT_TRUE(prepared(ladder[i % 3])) << i << "\n" << daemon_->Log();
+    pulse(true, true);
+    ASSERT_TRUE(Answered()) << i << "\n" << daemon_->Log();
+    around.push_back(clock_.Now());
+  }
+  pulse(false, true);  // the camera takes no picture
+  ASSERT_TRUE(StatusHolds([&](const auto& s) { return s["triggers"]["accepted"] == edges_; }));
+  pulse(true, true);
+  ASSERT_TRUE(Answered()) << daemon_->Log();
+  pulse(true, false);  // nobody sees the edge
+  ASSERT_TRUE(Answered()) << daemon_->Log();
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 9U);
+  for (std::size_t i = 0; i < 6; ++i) {
+    ExpectFrame(journal[i], ladder[i % 3]);
+    EXPECT_GE(journal[i].trigger_time, around[i]);
+    EXPECT_LE(journal[i].trigger_time, around[i + 1]);
+    ASSERT_TRUE(journal[i].timestamp_error);
+    EXPECT_LT(*journal[i].timestamp_error, std::chrono::milliseconds(100));
+  }
+  EXPECT_EQ(journal[6].status, FrameStatus::kMissedTrigger);
+  EXPECT_THAT(journal[6].detail, HasSubstr("took no picture at this edge"));
+  ExpectFrame(journal[7], 0.001);
+  EXPECT_EQ(journal[8].status, FrameStatus::kOk);
+  EXPECT_THAT(journal[8].detail, HasSubstr("no edge was seen for this frame"));
+  // Three to fit its clock, and then pulses only: nothing was commanded.
+  EXPECT_EQ(device_->trigger_times().size(), 3U + 8U);
+  Stop();
+}
+
 TEST_F(Appliance, PulsesOfAWheelAreWayAndMarksOnItAreFrames) {
   Launch("[0.001, 0.004, 0.016]",
          fmt::format("source = \"distance\"\nodometer = \"wheel\"\ndistance_m = 0.0625\n"

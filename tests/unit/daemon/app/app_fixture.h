@@ -268,7 +268,8 @@ class AppFixture : public ::testing::Test {
           last_odometer_m_ = context.last_odometer_m;
           command_ = context.command;
           AppParts parts;
-          parts.camera = camera_;
+          parts.camera = other_camera_;
+          if (!parts.camera) parts.camera = camera_;
           parts.triggers = triggers_;
           if (vehicle_) {
             parts.links.push_back(vehicle_);
@@ -337,6 +338,7 @@ class AppFixture : public ::testing::Test {
   testing::TemporaryDirectory directory_;
   DaemonConfig config_;
   std::shared_ptr<FakeCamera> camera_ = std::make_shared<FakeCamera>();
+  std::shared_ptr<Camera> other_camera_;  // instead of that
   std::atomic<bool> views_fail_ = false;
   std::atomic<bool> views_stuck_ = false;
   StagePatience patience_;

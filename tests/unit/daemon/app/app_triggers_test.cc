@@ -116,6 +116,105 @@ TEST_F(AppTriggers, WhatCameBeforeItWasDisarmedHasItsLine) {
   EXPECT_EQ(status["triggers"]["missed"]["no-camera"], 100);
 }
 
+// A camera on the trigger's wire: it exposes at every pulse with what was prepared.
+class WiredCamera final : public Camera {
+ public:
+  Result<CameraInfo> Open() override {
+    CameraInfo info;
+    info.description.model = "wired";
+    info.description.width = 128;
+    info.description.height = 64;
+    info.shortest = ExposureTime::Seconds(1e-6);
+    info.longest = ExposureTime::Seconds(10.0);
+    info.proof = ExposureProof::kEmbedded;
+    info.wired = true;
+    return info;
+  }
+  void Close() override {}
+  Status Start() override { return {}; }
+  void Stop() override {}
+  Status Trigger(const ExposureRequest&) override {
+    ++edges;
+    return {};
+  }
+  void Prepare(const Exposure& next) override {
+    std::lock_guard lock(mutex_);
+    prepared_ = next;
+  }
+  Result<CameraFrame> Receive(Nanoseconds timeout) override {
+    std::unique_lock lock(mutex_);
+    changed_.wait_for(lock, timeout, [this] { return !frames_.empty(); });
+    if (frames_.empty()) return Fail(ErrorKind::kTemporary, "nothing yet");
+    CameraFrame frame = std::move(frames_.front());
+    frames_.pop_front();
+    return frame;
+  }
+  HostTime Pulse() {
+    CameraFrame frame;
+    frame.wired = WiredStart{SystemClock().Now(), Nanoseconds(0)};
+    frame.mid_exposure = frame.wired->at;
+    frame.camera_counter = counter_++;
+    frame.proof = ExposureProof::kEmbedded;
+    frame.pixels = Image<std::uint8_t>(128, 64, 3, 100);
+    std::lock_guard lock(mutex_);
+    frame.measured_exposure = prepared_;
+    const HostTime at = frame.wired->at;
+    frames_.push_back(std::move(frame));
+    changed_.notify_all();
+    return at;
+  }
+  std::atomic<int> edges = 0;
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<CameraFrame> frames_;
+  std::optional<Exposure> prepared_;
+  std::uint64_t counter_ = 0;
+};
+
+TEST_F(AppTriggers, ACameraOnTheWireIsNotCommandedAndFramesAndEdgesFindEachOther) {
+  const auto source = std::make_shared<ToldSource>();
+  const auto camera = std::make_shared<WiredCamera>();
+  triggers_ = source;
+  other_camera_ = camera;
+  config_.trigger.wired = true;
+  config_.trigger.rearm_after = 0;
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }));
+  EXPECT_EQ(Client().Post("/v1/trigger").error().kind, ErrorKind::kUnavailable)
+      << "nobody can command it";
+  int recorded = 0;
+  const auto next = [&](bool pulse, bool edge) {
+    TriggerEvent event;
+    event.time = pulse ? camera->Pulse() : SystemClock().Now();
+    if (edge) source->Tell(event);
+    if (!pulse) return;
+    ++recorded;
+    ASSERT_TRUE(StatusHolds([&](const auto& s) { return s["frames_recorded"] == recorded; }));
+  };
+  for (int i = 0; i < 3; ++i) next(true, true);
+  next(false, true);  // the pulse does not reach the camera
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["edges_without_frame"] == 1; }));
+  next(true, true);
+  next(true, false);  // its edge is not seen
+  EXPECT_EQ(Client().Get("/v1/status").value()["triggers"]["frames_without_edge"], 1);
+  EXPECT_EQ(camera->edges, 5);
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  ASSERT_EQ(frames.size(), 6U);
+  for (const std::size_t good : {0U, 1U, 2U, 4U, 5U}) {
+    EXPECT_EQ(frames[good].status, FrameStatus::kOk) << good << ": " << frames[good].detail;
+    EXPECT_EQ(frames[good].proof, ExposureProof::kEmbedded);
+  }
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(frames[i].exposure.time.seconds(), config_.bracket.exposures_s[i]);
+  }
+  EXPECT_EQ(frames[3].status, FrameStatus::kCameraTimeout);
+  EXPECT_THAT(frames[3].detail, HasSubstr("the pulse did not reach the camera"));
+  EXPECT_THAT(frames[5].detail, HasSubstr("no edge was seen for this frame"));
+}
+
 TEST_F(AppTriggers, ABurstIsTheWholeBracketAtOnePosition) {
   config_.trigger.burst = true;
   Start();

@@ -68,6 +68,26 @@ TEST(Config, ABurstWantsAWholeBracketAndABlurBoundASpeed) {
   EXPECT_THAT(problems, ::testing::HasSubstr("bracket.order: \"triangle\", expected"));
 }
 
+TEST(Config, ACameraOnTheTriggersWireNeedsALineThatObservesItAndOnePictureAPulse) {
+  const auto problems = [](const std::string& text) {
+    std::string all;
+    for (const ConfigProblem& problem : ParseConfig(text, "c.toml").problems) {
+      all += problem.ToString() + "\n";
+    }
+    return all;
+  };
+  const std::string camera = "[camera]\ndriver = \"iidc\"\n[camera.iidc]\nrig = \"head.toml\"\n";
+  const std::string line = "[gpio.trigger]\nchip = \"c\"\nline = \"1\"\n";
+  EXPECT_EQ(problems(camera + line + "[trigger]\nsource = \"gpio\"\nwired = true\n"), "");
+  EXPECT_THAT(problems(camera + "[trigger]\nsource = \"timer\"\nwired = true\n"),
+              HasSubstr("trigger.source: expected \"gpio\""));
+  EXPECT_THAT(problems("[camera]\ndriver = \"v4l2\"\n[trigger]\nwired = true\n"),
+              HasSubstr("camera.driver: expected \"iidc\" or \"sim\""));
+  EXPECT_THAT(problems("[trigger]\nwired = true\nburst = true\n"), HasSubstr("trigger.burst"));
+  EXPECT_EQ(problems("[trigger]\nsource = \"timer\"\nwired = true\n"), "")
+      << "the simulated camera's pulses are any source's triggers";
+}
+
 TEST(ConfigFile, OmnihdrTomlListsEveryKeyWithExactlyTheBuiltInDefault) {
   const LoadedConfig loaded = LoadConfig(kConfigFolder / "omnihdr.toml");
   for (const ConfigProblem& problem : loaded.problems) ADD_FAILURE() << problem.ToString();
