@@ -9,6 +9,9 @@
 namespace omnihdr {
 namespace {
 
+constexpr char kBytesBehind[] =
+    "there are bytes behind the request, expected one request a connection";
+
 bool IsTokenCharacter(char c) {
   constexpr std::string_view kOthers = "!#$%&'*+-.^_`|~";
   return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') ||
@@ -166,6 +169,10 @@ bool HttpReader::TakeLine(std::string_view line) {
 }
 
 HttpReader::State HttpReader::Take(std::string_view bytes) {
+  if (state_ == State::kComplete && !bytes.empty()) {
+    Refuse(400, kBytesBehind);
+    return state_;
+  }
   while (state_ == State::kNeedMore && !in_body_ && !bytes.empty()) {
     const char c = bytes.front();
     bytes.remove_prefix(1);
@@ -188,7 +195,7 @@ HttpReader::State HttpReader::Take(std::string_view bytes) {
   }
   if (state_ != State::kNeedMore || !in_body_) return state_;
   if (request_.body.size() + bytes.size() > length_) {
-    Refuse(400, "there are bytes behind the request, expected one request a connection");
+    Refuse(400, kBytesBehind);
     return state_;
   }
   request_.body += bytes;

@@ -41,6 +41,17 @@ TEST(HttpReader, ARequestComesOutTheSameHoweverItIsCut) {
   EXPECT_FALSE(Read("GET / HTTP/1.0\r\n\r\n").request().chunks);
 }
 
+TEST(HttpReader, BytesBehindARequestAreRefusedHoweverTheyAreCut) {
+  const std::string request = "POST /v1/stop HTTP/1.1\r\nContent-Length: 1\r\n\r\nx";
+  const std::string text = request + "{}";
+  for (std::size_t piece = 1; piece <= text.size(); ++piece) {
+    EXPECT_EQ(Read(text, piece).status(), 400) << piece;
+  }
+  HttpReader reader = Read(request);
+  EXPECT_EQ(reader.Take(""), HttpReader::State::kComplete);
+  EXPECT_EQ(reader.Take("{"), HttpReader::State::kRefused);
+}
+
 TEST(HttpReader, WhatTwoReadersCouldTakeForTwoThingsIsRefused) {
   const std::string post = "POST / HTTP/1.1\r\n";
   EXPECT_EQ(Refusal(post + "Content-Length: 1\r\nContent-Length: 2\r\n\r\nx"), 400);
