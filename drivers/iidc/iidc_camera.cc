@@ -251,6 +251,8 @@ Result<std::optional<RawFrame>> IidcCamera::WaitForFrame(const Sent& sent, std::
 }
 
 bool IidcCamera::IsStray(const RawFrame& frame, const Sent& sent) {
+  // A recording has its own order of triggers and frames, and none of this host's times.
+  if (!camera_->link->live()) return false;
   const std::optional<FrameFacts> facts = ReadFacts(frame.bytes, camera_->picture);
   if (!facts || !facts->info.cycle_time) return false;
   const std::optional<std::int64_t> cycle_ns = CycleTimeNanoseconds(*facts->info.cycle_time);

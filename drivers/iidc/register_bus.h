@@ -48,6 +48,9 @@ class Link : public RegisterBus {
   virtual std::uint16_t product() const = 0;  // USB's product number; 0 when there is none
   // Frames whose length is no multiple of this end visibly (a short packet); 0 = every frame does.
   virtual std::size_t packet_bytes() const = 0;
+  // Whether the host's time at which a frame comes says anything of when it was taken: not of one
+  // that is played back.
+  virtual bool live() const { return true; }
   // Before every StartStream: what the camera must be told so that its pictures, in packets of so
   // many bytes, come here.
   virtual Status PrepareStream(const Registers& /*registers*/, std::size_t /*packet_bytes*/) {

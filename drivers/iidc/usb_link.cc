@@ -79,6 +79,7 @@ class UsbLink final : public Link {
   std::string name() const override { return device_->info().Name(); }
   std::uint16_t product() const override { return device_->info().product; }
   std::size_t packet_bytes() const override { return packet_bytes_; }
+  bool live() const override { return device_->live(); }
 
   Status StartStream(std::size_t frame_bytes) override {
     StopStream();

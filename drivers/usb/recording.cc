@@ -275,6 +275,7 @@ class ReplayingDevice final : public Device {
   ReplayingDevice(DeviceInfo info, std::shared_ptr<Recording> recording)
       : info_(std::move(info)), recording_(std::move(recording)) {}
   const DeviceInfo& info() const override { return info_; }
+  bool live() const override { return false; }
   Status VendorIn(const ControlSetup& setup, std::span<std::byte> data, Nanoseconds) override {
     RecordedCall asked;
     asked.kind = Kind::kIn;

@@ -68,6 +68,9 @@ class Device {
  public:
   virtual ~Device() = default;
   virtual const DeviceInfo& info() const = 0;
+  // Whether data come when the device sends them: not from a recording, which is played as fast or
+  // slowly as its reader asks.
+  virtual bool live() const { return true; }
   // Vendor requests to the device. Errors: kTemporary = no answer in time, kProtocol = refused
   // (stall) or another length than asked for, kUnavailable = gone, kIo = anything else.
   virtual Status VendorIn(const ControlSetup& setup, std::span<std::byte> data,

@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <random>
+#include <thread>
 
 #include "core/base/file.h"
 #include "drivers/iidc/usb_link.h"
@@ -25,8 +27,8 @@ class UsbRecording : public ::testing::Test {
     return std::make_unique<iidc::IidcCamera>(emulated_.CameraOptions(),
                                               iidc::MakeUsbFinder(std::move(bus)));
   }
-  // What a camera delivers for a few triggers.
-  static std::vector<CameraFrame> TakeSome(iidc::IidcCamera& camera) {
+  // What a camera delivers for a few triggers, `pause` after one another.
+  static std::vector<CameraFrame> TakeSome(iidc::IidcCamera& camera, Nanoseconds pause = {}) {
     std::vector<CameraFrame> frames;
     const Result<CameraInfo> info = camera.Open();
     EXPECT_TRUE(info) << info.error().message;
@@ -36,6 +38,7 @@ class UsbRecording : public ::testing::Test {
       Result<CameraFrame> frame = testing::Take(camera, number++, seconds);
       EXPECT_TRUE(frame) << frame.error().message;
       if (frame) frames.push_back(std::move(*frame));
+      std::this_thread::sleep_for(pause);
     }
     camera.Stop();
     camera.Close();
@@ -67,6 +70,14 @@ TEST_F(UsbRecording, PlayedBackItGivesTheSameFramesWithTheSameProof) {
     EXPECT_TRUE(
         std::equal(a.values().begin(), a.values().end(), b.values().begin(), b.values().end()));
   }
+}
+
+// By the host's clock the second frame would have been taken before it was asked for.
+TEST_F(UsbRecording, PlayedBackMoreSlowlyThanItWasRecordedNoFrameIsTakenForAStray) {
+  ASSERT_EQ(Record().size(), 4U);
+  const auto camera = CameraOn(usb::MakeReplayingBus(file()).value());
+  EXPECT_EQ(TakeSome(*camera, std::chrono::milliseconds(200)).size(), 4U);
+  EXPECT_EQ(camera->counts().strays, 0U);
 }
 
 TEST_F(UsbRecording, ADriverThatAsksSomethingElseIsToldWhat) {
