@@ -375,6 +375,8 @@ std::vector<ConfigKey> MakeKeys() {
   add(Whole("camera.v4l2.gain_unity", "a control value", 0, 1'000'000,
             OMNIHDR_MEMBER(camera.v4l2.gain_unity)));
   add(WhiteBalanceKelvin());
+  add(Path("camera.v4l2.recording", "a file or \"\"", Empty::kAllowed, kPathBytes,
+           OMNIHDR_MEMBER(camera.v4l2.recording)));
 
   add(Choice("bracket.order",
              std::vector{BracketOrder::kSawtooth, BracketOrder::kTriangle, BracketOrder::kList},

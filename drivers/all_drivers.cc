@@ -9,6 +9,7 @@
 #include "drivers/iidc/usb_link.h"
 #include "drivers/usb/recording.h"
 #include "drivers/v4l2/kernel_device.h"
+#include "drivers/v4l2/recording.h"
 #include "drivers/v4l2/rig_camera.h"
 #include "drivers/v4l2/settings.h"
 
@@ -77,31 +78,42 @@ Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
 
 namespace {
 
-Result<iidc::IidcCameraOptions> Recordable(const CameraOptions& options) {
+// IIDC cameras on USB, and one V4L2 camera.
+Status CheckRecordable(const CameraOptions& options) {
   const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options);
-  if (iidc_options != nullptr && iidc_options->bus == iidc::CameraBus::kUsb) return *iidc_options;
+  if (iidc_options != nullptr && iidc_options->bus == iidc::CameraBus::kUsb) return {};
+  const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options);
+  if (v4l2_options != nullptr && v4l2_options->devices.empty()) return {};
   return Fail(ErrorKind::kUsage,
-              "camera.driver: \"{}\": expected \"iidc\" on USB: the traffic of others "
-              "cannot be recorded",
+              "camera.driver: \"{}\": expected \"iidc\" on USB, or \"v4l2\" without "
+              "camera.v4l2.devices: the traffic of others cannot be recorded",
               CameraDrivers()[options.index()].name);
 }
 
 }  // namespace
 
 Status RecordTransport(CameraOptions& options, const std::filesystem::path& file) {
-  OMNIHDR_ASSIGN(iidc::IidcCameraOptions recorded, Recordable(options));
-  recorded.usb_recording = file.string();
-  options = std::move(recorded);
+  OMNIHDR_TRY(CheckRecordable(options));
+  if (auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options)) {
+    iidc_options->usb_recording = file.string();
+  } else {
+    std::get<v4l2::V4l2CameraOptions>(options).recording = file.string();
+  }
   return {};
 }
 
 Result<std::unique_ptr<Camera>> MakeReplayedCamera(const CameraOptions& options,
                                                    const std::filesystem::path& file) {
-  OMNIHDR_ASSIGN(iidc::IidcCameraOptions replayed, Recordable(options));
-  OMNIHDR_TRY(replayed.Validate().Context("camera iidc"));
+  OMNIHDR_TRY(CheckRecordable(options));
+  if (const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options)) {
+    OMNIHDR_TRY(v4l2_options->Validate().Context("camera v4l2"));
+    return v4l2::MakeReplayedCamera(*v4l2_options, file);
+  }
+  const auto& iidc_options = std::get<iidc::IidcCameraOptions>(options);
+  OMNIHDR_TRY(iidc_options.Validate().Context("camera iidc"));
   OMNIHDR_ASSIGN(std::unique_ptr<usb::Bus> bus, usb::MakeReplayingBus(file));
   return std::unique_ptr<Camera>(
-      std::make_unique<iidc::IidcCamera>(std::move(replayed), iidc::MakeUsbFinder(std::move(bus))));
+      std::make_unique<iidc::IidcCamera>(iidc_options, iidc::MakeUsbFinder(std::move(bus))));
 }
 
 }  // namespace omnihdr

@@ -356,7 +356,8 @@ void AddCameraCommand(CLI::App& app, CommandRun& run) {
   const auto add_transport = [&](CLI::App* sub) {
     CLI::Option* record = sub->add_option(
         "--record", arguments->record,
-        "File for all that passes between the camera and this machine (IIDC on USB)");
+        "File for all that passes between the camera and this machine (IIDC on USB, one V4L2 "
+        "camera)");
     sub->add_option("--replay", arguments->replay,
                     "Such a file, which takes the camera's place: the same command answers the "
                     "same")

@@ -1,11 +1,8 @@
 #include "drivers/usb/recording.h"
 
-#include <fcntl.h>
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
-#include <cerrno>
 #include <chrono>
 #include <mutex>
 #include <thread>
@@ -27,45 +24,9 @@ std::optional<Error> ErrorOf(const Result<T>& result) {
 
 // ---- recording
 
-class RecordingFile {
- public:
-  explicit RecordingFile(const RecordingOptions& options) : options_(options) {}
-  Status Begin() {
-    std::lock_guard lock(mutex_);
-    if (fd_.valid()) return {};
-    Fd fd(::open(options_.file.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0640));
-    if (!fd.valid()) {
-      return FailErrno(ErrorKind::kCannotCreate, options_.file.string(), errno);
-    }
-    OMNIHDR_TRY(
-        WriteAll(fd.get(), std::as_bytes(std::span(kRecordingMagic)), options_.file.string()));
-    fd_ = std::move(fd);
-    return {};
-  }
-  void Write(const RecordedCall& call) {
-    const std::vector<std::byte> body = EncodeCall(call);
-    std::lock_guard lock(mutex_);
-    if (ended_ || !fd_.valid()) return;
-    if (body.size() > 0xFFFFFFFF || written_ + body.size() + 4 > options_.max_bytes) {
-      ended_ = true;
-      return;
-    }
-    std::array<std::byte, 4> length;
-    for (std::size_t i = 0; i < length.size(); ++i) {
-      length[i] = static_cast<std::byte>(body.size() >> (8 * i) & 0xFF);
-    }
-    ended_ = !WriteAll(fd_.get(), length, options_.file.string()) ||
-             !WriteAll(fd_.get(), body, options_.file.string());
-    written_ += body.size() + length.size();
-  }
+using recording::RecordingFile;
 
- private:
-  const RecordingOptions options_;
-  std::mutex mutex_;
-  Fd fd_;
-  std::uint64_t written_ = kRecordingMagic.size();
-  bool ended_ = false;
-};
+void Write(RecordingFile& file, const RecordedCall& call) { file.Write(EncodeCall(call)); }
 
 class RecordingStream final : public BulkStream {
  public:
@@ -78,7 +39,7 @@ class RecordingStream final : public BulkStream {
       call.kind = Kind::kChunk;
       call.error = ErrorOf(chunk);
       if (chunk) call.chunk = *chunk;
-      file_->Write(call);
+      Write(*file_, call);
     }
     return chunk;
   }
@@ -86,7 +47,7 @@ class RecordingStream final : public BulkStream {
   void Stop(Nanoseconds quiet, Nanoseconds limit) override {
     RecordedCall call;
     call.kind = Kind::kStopStream;
-    file_->Write(call);
+    Write(*file_, call);
     stream_->Stop(quiet, limit);
   }
 
@@ -109,7 +70,7 @@ class RecordingDevice final : public Device {
     call.number = static_cast<std::uint32_t>(data.size());
     call.error = ErrorOf(status);
     if (status) call.received.assign(data.begin(), data.end());
-    file_->Write(call);
+    Write(*file_, call);
     return status;
   }
   Status VendorOut(const ControlSetup& setup, std::span<const std::byte> data,
@@ -120,7 +81,7 @@ class RecordingDevice final : public Device {
     call.setup = setup;
     call.sent.assign(data.begin(), data.end());
     call.error = ErrorOf(status);
-    file_->Write(call);
+    Write(*file_, call);
     return status;
   }
   Result<int> PacketBytes(std::uint8_t endpoint) override {
@@ -130,7 +91,7 @@ class RecordingDevice final : public Device {
     call.number = endpoint;
     call.error = ErrorOf(bytes);
     call.result = static_cast<std::uint32_t>(bytes.value_or(0));
-    file_->Write(call);
+    Write(*file_, call);
     return bytes;
   }
   Result<std::unique_ptr<BulkStream>> StartStream(const BulkStreamOptions& options) override {
@@ -139,7 +100,7 @@ class RecordingDevice final : public Device {
     call.kind = Kind::kStartStream;
     call.number = options.endpoint;
     call.error = ErrorOf(stream);
-    file_->Write(call);
+    Write(*file_, call);
     if (!stream) return stream;
     return std::unique_ptr<BulkStream>(
         std::make_unique<RecordingStream>(std::move(*stream), file_));
@@ -153,7 +114,7 @@ class RecordingDevice final : public Device {
 class RecordingBus final : public Bus {
  public:
   RecordingBus(std::shared_ptr<Bus> bus, const RecordingOptions& options)
-      : bus_(std::move(bus)), file_(std::make_shared<RecordingFile>(options)) {}
+      : bus_(std::move(bus)), file_(std::make_shared<RecordingFile>(options, kRecordingMagic)) {}
   Result<std::vector<DeviceInfo>> List() override {
     OMNIHDR_TRY(file_->Begin().Context("USB recording"));
     Result<std::vector<DeviceInfo>> devices = bus_->List();
@@ -161,7 +122,7 @@ class RecordingBus final : public Bus {
     call.kind = Kind::kList;
     call.error = ErrorOf(devices);
     if (devices) call.devices = *devices;
-    file_->Write(call);
+    Write(*file_, call);
     return devices;
   }
   Result<std::unique_ptr<Device>> Open(const DeviceInfo& device) override {
@@ -170,7 +131,7 @@ class RecordingBus final : public Bus {
     call.kind = Kind::kOpen;
     call.device = device;
     call.error = ErrorOf(opened);
-    file_->Write(call);
+    Write(*file_, call);
     if (!opened) return opened;
     return std::unique_ptr<Device>(std::make_unique<RecordingDevice>(std::move(*opened), file_));
   }
@@ -185,14 +146,11 @@ class RecordingBus final : public Bus {
 // The calls of a recording, one after the other; chunks lie among them where they came.
 class Recording {
  public:
+  explicit Recording(recording::RecordedCalls calls) : calls_(std::move(calls)) {}
   static Result<std::shared_ptr<Recording>> Read(std::vector<std::byte> bytes) {
-    const auto magic = std::as_bytes(std::span(kRecordingMagic));
-    if (bytes.size() < magic.size() || !std::equal(magic.begin(), magic.end(), bytes.begin())) {
-      return Fail(ErrorKind::kData, "no recording of USB requests");
-    }
-    auto recording = std::make_shared<Recording>();
-    recording->bytes_ = std::move(bytes);
-    recording->at_ = magic.size();
+    OMNIHDR_ASSIGN(auto calls, recording::RecordedCalls::Read(std::move(bytes), kRecordingMagic,
+                                                              "USB requests"));
+    auto recording = std::make_shared<Recording>(std::move(calls));
     recording->Load();
     return recording;
   }
@@ -228,19 +186,11 @@ class Recording {
   // What is no call ends the recording.
   void Load() {
     next_.reset();
-    if (bytes_.size() - at_ < 4) return;
-    std::size_t length = 0;
-    for (std::size_t i = 4; i-- > 0;) {
-      length = length << 8 | std::to_integer<std::size_t>(bytes_[at_ + i]);
-    }
-    if (length > bytes_.size() - at_ - 4) return;
-    next_ = DecodeCall(std::span(bytes_).subspan(at_ + 4, length));
-    at_ += 4 + length;
+    if (const auto call = calls_.Next()) next_ = DecodeCall(*call);
   }
 
   std::mutex mutex_;
-  std::vector<std::byte> bytes_;
-  std::size_t at_ = 0;
+  recording::RecordedCalls calls_;
   std::optional<RecordedCall> next_;
 };
 

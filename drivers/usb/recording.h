@@ -1,11 +1,11 @@
 #pragma once
 
-#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <span>
 #include <vector>
 
+#include "drivers/recording/recording_file.h"
 #include "drivers/usb/usb.h"
 
 namespace omnihdr::usb {
@@ -13,11 +13,7 @@ namespace omnihdr::usb {
 // What a driver asked of a bus and what came back, errors included, as a file: made beside the real
 // thing and played back later without it.
 
-struct RecordingOptions {
-  std::filesystem::path file;
-  // No more is recorded when the file has grown to this; what is in it stays usable.
-  std::uint64_t max_bytes = std::uint64_t{1} << 30;
-};
+using recording::RecordingOptions;
 
 // Hands everything on to `bus` and writes it down. The file is made anew by the first List, which
 // fails with kCannotCreate when that cannot be done; a file that cannot be written later ends the

@@ -34,11 +34,13 @@ struct V4l2CameraOptions {
   Coding coding = Coding::kAuto;
   int width = 0;  // other layouts; 0 = as the device has it
   int height = 0;
-  double frame_rate = 0.0;       // 1/s; 0 = as the device has it
-  int latency_frames = 0;        // from a write to the first frame it acts on; 0 = measured
-  int gain = -1;                 // control value held; -1 = the control's default
-  int gain_unity = 0;            // control value of 0 dB; 0 = the gain is not used
-  int white_balance = 0;         // kelvin; 0 = as the camera has it
+  double frame_rate = 0.0;  // 1/s; 0 = as the device has it
+  int latency_frames = 0;   // from a write to the first frame it acts on; 0 = measured
+  int gain = -1;            // control value held; -1 = the control's default
+  int gain_unity = 0;       // control value of 0 dB; 0 = the gain is not used
+  int white_balance = 0;    // kelvin; 0 = as the camera has it
+  // File for all that passes between driver and kernel (drivers/v4l2/recording.h); empty = none.
+  std::string recording;
   double frame_timeout_s = 2.0;  // from when the picture could be there, 0.01 to 600
   Status Validate() const;       // kConfig error naming the option and its range
 };

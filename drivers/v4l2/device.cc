@@ -4,6 +4,11 @@
 
 namespace omnihdr::v4l2 {
 
+const Clock& V4l2System::clock() const {
+  static const SystemClock system;
+  return system;
+}
+
 ErrorKind KindOf(int error) {
   switch (-error) {
     case ENODEV:

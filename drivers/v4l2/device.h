@@ -3,12 +3,14 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "core/base/clock.h"
 #include "core/base/result.h"
+#include "core/base/units.h"
 
 namespace omnihdr::v4l2 {
 
@@ -29,6 +31,17 @@ class V4l2Device {
   virtual void Unmap(std::byte* data, std::size_t length) = 0;
   // 1 when a buffer can be dequeued, 0 when none could within `timeout`.
   virtual int WaitForFrame(Nanoseconds timeout) = 0;
+
+  // What the driver does next depends on when somebody asked for something, too. It says so here,
+  // for a recording, and asks whether the same was asked for when the recording was made
+  // (drivers/v4l2/recording.h). A kernel's device has nothing to say to it.
+  //
+  // How long to wait for a trigger at this moment; nothing = none is to be taken.
+  virtual std::optional<Nanoseconds> TriggerPatience() { return Nanoseconds(0); }
+  // A trigger has been taken. Returns its time on the clock of the system.
+  virtual HostTime TookTrigger(const Exposure& /*exposure*/, HostTime time) { return time; }
+  // What comes next, as Prepare said; returns what is to be set.
+  virtual std::optional<Exposure> TookHint(std::optional<Exposure> hint) { return hint; }
 };
 
 // A device node that may be a camera.
@@ -44,6 +57,9 @@ class V4l2System {
   // Those there now, by number.
   virtual std::vector<V4l2Node> List() = 0;
   virtual std::unique_ptr<V4l2Device> MakeDevice() = 0;
+  // The one of its frames' time stamps, and of all waiting for them. The system's; a recording that
+  // is played has that of its own.
+  virtual const Clock& clock() const;
 };
 
 // What a failed call means: kUnavailable = the device has gone (ENODEV, ENXIO, ENOENT) or another

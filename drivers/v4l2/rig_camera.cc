@@ -14,6 +14,7 @@
 #include "core/session/rig_file.h"
 #include "core/session/session_rig.h"
 #include "drivers/v4l2/kernel_device.h"
+#include "drivers/v4l2/recording.h"
 
 namespace omnihdr::v4l2 {
 namespace {
@@ -482,11 +483,17 @@ std::string V4l2RigCamera::AllAway() const {
   return why;
 }
 
-std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options) {
+Result<std::unique_ptr<Camera>> MakeKernelV4l2Camera(V4l2CameraOptions options) {
   if (!options.devices.empty()) {
-    return std::make_unique<V4l2RigCamera>(std::move(options), [] { return MakeKernelSystem(); });
+    return std::unique_ptr<Camera>(
+        std::make_unique<V4l2RigCamera>(std::move(options), [] { return MakeKernelSystem(); }));
   }
-  return std::make_unique<V4l2Camera>(std::move(options), MakeKernelSystem());
+  std::unique_ptr<V4l2System> system = MakeKernelSystem();
+  if (!options.recording.empty()) {
+    OMNIHDR_ASSIGN(system, MakeRecordingSystem(std::move(system), {.file = options.recording}));
+  }
+  return std::unique_ptr<Camera>(
+      std::make_unique<V4l2Camera>(std::move(options), std::move(system)));
 }
 
 }  // namespace omnihdr::v4l2

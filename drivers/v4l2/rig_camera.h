@@ -109,7 +109,8 @@ class V4l2RigCamera final : public Camera {
   Counts counts_;  // with mutex_
 };
 
-// The cameras of this machine's kernel: one, or several as a rig (options.devices).
-std::unique_ptr<Camera> MakeKernelV4l2Camera(V4l2CameraOptions options);
+// The cameras of this machine's kernel: one, or several as a rig (options.devices). kCannotCreate:
+// the file of options.recording cannot be made.
+Result<std::unique_ptr<Camera>> MakeKernelV4l2Camera(V4l2CameraOptions options);
 
 }  // namespace omnihdr::v4l2

@@ -24,7 +24,7 @@ Nanoseconds FromSeconds(double seconds) {
 }  // namespace
 
 V4l2Camera::V4l2Camera(V4l2CameraOptions options, std::unique_ptr<V4l2System> system)
-    : options_(std::move(options)), system_(std::move(system)) {}
+    : options_(std::move(options)), system_(std::move(system)), clock_(system_->clock()) {}
 
 V4l2Camera::~V4l2Camera() { Close(); }
 
@@ -111,9 +111,9 @@ std::vector<CameraCounter> V4l2Camera::Counters() const {
 Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();
-    std::optional<ExposureRequest> request;
+    std::optional<Shot> shot;
     if (next_) {
-      request = next_->request;
+      shot = next_->shot;
       // What was written for it is in force for its frame, or soon will be.
       if (next_->written) {
         set_ = next_->set;
@@ -122,11 +122,11 @@ Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
       }
       next_.reset();
     } else {
-      request = handover_.Take(Nanoseconds(0), stop);
+      shot = TakeTrigger(stop);
     }
     // What was said to come next may have been this one.
-    if (request) static_cast<void>(handover_.TakeHint());
-    Status done = request ? Shoot(*request, stop) : Idle(stop);
+    if (shot) static_cast<void>(handover_.TakeHint());
+    Status done = shot ? Shoot(*shot, stop) : Idle(stop);
     if (!done) {
       handover_.GoAway(std::move(done).error().message);
       return {};
@@ -135,14 +135,23 @@ Status V4l2Camera::Run(std::stop_token stop, Stage& stage) {
   return {};
 }
 
-Status V4l2Camera::Shoot(const ExposureRequest& request, const std::stop_token& stop) {
-  Result<std::optional<CameraFrame>> taken = TakePicture(request, stop);
+std::optional<V4l2Camera::Shot> V4l2Camera::TakeTrigger(const std::stop_token& stop) {
+  V4l2Device& device = *camera_->device;
+  const std::optional<Nanoseconds> patience = device.TriggerPatience();
+  if (!patience) return std::nullopt;
+  const std::optional<ExposureRequest> request = handover_.Take(*patience, stop);
+  if (!request) return std::nullopt;
+  return Shot{*request, device.TookTrigger(request->exposure, request->trigger_time)};
+}
+
+Status V4l2Camera::Shoot(const Shot& shot, const std::stop_token& stop) {
+  Result<std::optional<CameraFrame>> taken = TakePicture(shot, stop);
   if (stop.stop_requested()) return {};
   if (!taken) {
     if (taken.error().kind == ErrorKind::kUnavailable || ++failures_ >= kMaxFailures) {
       return Forward(std::move(taken).error());
     }
-    handover_.Finish(Handover::Missed(request, taken.error().message, counter_));
+    handover_.Finish(Handover::Missed(shot.request, taken.error().message, counter_));
     return {};
   }
   if (*taken) {
@@ -167,7 +176,7 @@ Status V4l2Camera::Shoot(const ExposureRequest& request, const std::stop_token& 
 
 // Nobody waits for anything: frames come and go, and a lost camera shows.
 Status V4l2Camera::Idle(const std::stop_token& stop) {
-  const std::optional<Exposure> hint = handover_.TakeHint();
+  const std::optional<Exposure> hint = camera_->device->TookHint(handover_.TakeHint());
   if (hint && (!set_ || set_->asked != *hint)) {
     const Result<bool> written = SetExposureNow(*hint, stop);
     if (written && *written) {
@@ -262,8 +271,8 @@ Result<bool> V4l2Camera::SetExposureNow(const Exposure& exposure, std::stop_toke
   return true;
 }
 
-Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest& request,
-                                                           std::stop_token stop) {
+Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const Shot& shot, std::stop_token stop) {
+  const ExposureRequest& request = shot.request;
   if (!set_ || set_->asked != request.exposure) {
     OMNIHDR_ASSIGN(const bool written,
                    SetExposureNow(request.exposure, stop).Context("set the exposure"));
@@ -279,7 +288,7 @@ Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest
     if (!filled) continue;
     const std::optional<SetExposure> in_force = log_.InForce(filled->sequence);
     if (!in_force || in_force->asked != request.exposure ||
-        ExposureStart(*filled, in_force->measured) < request.trigger_time) {
+        ExposureStart(*filled, in_force->measured) < shot.trigger) {
       if (next_ && next_->written &&
           SequenceDistance(next_->after, filled->sequence) >= log_.least()) {
         OMNIHDR_TRY(camera_->stream->Recycle(*filled));
@@ -288,12 +297,12 @@ Result<std::optional<CameraFrame>> V4l2Camera::TakePicture(const ExposureRequest
                     "force",
                     filled->sequence);
       }
-      const Status commanded = CommandNext(request, *filled, stop);
+      const Status commanded = CommandNext(shot, *filled, stop);
       OMNIHDR_TRY(camera_->stream->Recycle(*filled));
       if (!commanded) return Forward(commanded.error(), "set the next exposure");
       continue;
     }
-    CameraFrame frame = MakeFrame(request, *filled, *in_force);
+    CameraFrame frame = MakeFrame(shot, *filled, *in_force);
     OMNIHDR_TRY(camera_->stream->Recycle(*filled));
     return std::optional<CameraFrame>(std::move(frame));
   }
@@ -308,29 +317,30 @@ std::optional<V4l2Camera::Reference> V4l2Camera::ReferenceOf(const Filled& fille
   return Reference{*level, had->measured};
 }
 
-// Right after a frame: writes the next trigger's exposure when the picture of `request` is certain
-// to be taken before it can act.
-Status V4l2Camera::CommandNext(const ExposureRequest& request, const Filled& filled,
+// Right after a frame: writes the next trigger's exposure when the picture of `shot` is certain to
+// be taken before it can act.
+Status V4l2Camera::CommandNext(const Shot& shot, const Filled& filled,
                                const std::stop_token& stop) {
   if (log_.least() < 2) return {};
   if (!next_) {
-    std::optional<ExposureRequest> taken = handover_.Take(Nanoseconds(0), stop);
+    const std::optional<Shot> taken = TakeTrigger(stop);
     if (!taken) return {};
     next_ = Next{*taken, false, 0, {}, {}};
   }
-  if (next_->written || next_->request.exposure == request.exposure || !set_ ||
-      camera_->exposure->MovesBlanking(next_->request.exposure)) {
+  const Exposure& exposure_then = next_->shot.request.exposure;
+  if (next_->written || exposure_then == shot.request.exposure || !set_ ||
+      camera_->exposure->MovesBlanking(exposure_then)) {
     return {};
   }
   // The picture: the frame after this one, if the exposure is in force by then and none can have
   // begun before the trigger, else the first with the exposure.
   const Nanoseconds exposure = FromSeconds(set_->measured.time.seconds());
-  if (filled.stamp < request.trigger_time || exposure > camera_->interval) return {};
+  if (filled.stamp < shot.trigger || exposure > camera_->interval) return {};
   const std::uint32_t picture = set_at_ + static_cast<std::uint32_t>(log_.latency());
   const std::int32_t away = std::max(1, SequenceDistance(filled.sequence, picture));
   if (away >= log_.least()) return {};
   std::optional<Reference> reference = ReferenceOf(filled);
-  OMNIHDR_ASSIGN(const SetExposure set, camera_->exposure->Set(next_->request.exposure));
+  OMNIHDR_ASSIGN(const SetExposure set, camera_->exposure->Set(exposure_then));
   // Frames that were completed meanwhile are looked at afterwards: one may be the picture.
   for (int i = 0; i < kMaxDrained; ++i) {
     OMNIHDR_ASSIGN(const std::optional<Filled> meanwhile, NextOfStream(Nanoseconds(0)));
@@ -354,18 +364,18 @@ HostTime V4l2Camera::ExposureStart(const Filled& filled, const Exposure& exposur
   return filled.stamp - time;
 }
 
-CameraFrame V4l2Camera::MakeFrame(const ExposureRequest& request, const Filled& filled,
+CameraFrame V4l2Camera::MakeFrame(const Shot& shot, const Filled& filled,
                                   const SetExposure& exposure) {
   CameraFrame frame;
-  frame.trigger = request.trigger;
+  frame.trigger = shot.request.trigger;
   counter_ += 1 + std::exchange(lost_since_, 0);
   frame.camera_counter = counter_;
   frame.measured_exposure = exposure.measured;
   frame.proof = camera_->latency_measured ? ExposureProof::kLatency : ExposureProof::kReadback;
   const Nanoseconds time = FromSeconds(exposure.measured.time.seconds());
-  frame.mid_exposure =
-      std::clamp(ExposureStart(filled, exposure.measured) + time / 2, request.trigger_time,
-                 std::max(request.trigger_time, filled.taken_out));
+  const HostTime middle = std::clamp(ExposureStart(filled, exposure.measured) + time / 2,
+                                     shot.trigger, std::max(shot.trigger, filled.taken_out));
+  frame.mid_exposure = shot.request.trigger_time + (middle - shot.trigger);
   frame.settings_readback_json = fmt::format(
       R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"exposure_raw":{},"gain_raw":{},"asked_s":{:.9g},)"
       R"("clamped":{},"sequence":{},"latency_frames":{}}})",

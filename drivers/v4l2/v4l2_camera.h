@@ -65,9 +65,14 @@ class V4l2Camera final : public Camera {
     Level level;
     Exposure exposure;
   };
+  // A trigger that was taken, and its time on the clock of the frames' stamps.
+  struct Shot {
+    ExposureRequest request;
+    HostTime trigger;
+  };
   // The trigger after the one whose frame is coming.
   struct Next {
-    ExposureRequest request;
+    Shot shot;
     bool written = false;
     std::uint32_t after = 0;             // when written: the newest frame then
     SetExposure set;                     // when written
@@ -76,21 +81,19 @@ class V4l2Camera final : public Camera {
 
   Status Run(std::stop_token stop, Stage& stage);
   // An error: the camera has gone.
-  Status Shoot(const ExposureRequest& request, const std::stop_token& stop);
+  Status Shoot(const Shot& shot, const std::stop_token& stop);
   Status Idle(const std::stop_token& stop);
-  Result<std::optional<CameraFrame>> TakePicture(const ExposureRequest& request,
-                                                 std::stop_token stop);
+  std::optional<Shot> TakeTrigger(const std::stop_token& stop);
+  Result<std::optional<CameraFrame>> TakePicture(const Shot& shot, std::stop_token stop);
   Result<bool> SetExposureNow(const Exposure& exposure, std::stop_token stop);
   Result<std::optional<Filled>> NextFrame(Nanoseconds timeout);
   Result<std::optional<Filled>> NextOfStream(Nanoseconds timeout);
-  Status CommandNext(const ExposureRequest& request, const Filled& filled,
-                     const std::stop_token& stop);
+  Status CommandNext(const Shot& shot, const Filled& filled, const std::stop_token& stop);
   std::optional<Reference> ReferenceOf(const Filled& filled) const;
   Status Drain();
   Status RecycleReady();
   HostTime ExposureStart(const Filled& filled, const Exposure& exposure) const;
-  CameraFrame MakeFrame(const ExposureRequest& request, const Filled& filled,
-                        const SetExposure& exposure);
+  CameraFrame MakeFrame(const Shot& shot, const Filled& filled, const SetExposure& exposure);
   void HoldAgainstBrightness(const Filled& filled, const SetExposure& exposure, CameraFrame& frame);
   Status MeasureAnew();
   Status RestartStream();
@@ -98,7 +101,7 @@ class V4l2Camera final : public Camera {
 
   const V4l2CameraOptions options_;
   const std::unique_ptr<V4l2System> system_;
-  const SystemClock clock_;
+  const Clock& clock_;  // of system_
 
   // Of whoever runs Open, Start, Stop and Close, and of the worker in between.
   std::unique_ptr<ReadyCamera> camera_;

@@ -4,8 +4,13 @@
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <span>
+#include <utility>
+#include <vector>
 
 #include "drivers/v4l2/camera_setup.h"
+#include "drivers/v4l2/kernel_call.h"
+#include "drivers/v4l2/recording.h"
 
 namespace {
 
@@ -87,12 +92,47 @@ void CheckPixels(const std::uint8_t* data, std::size_t size) {
       *pixels);
 }
 
+// The calls of a recording, behind its magic: what is taken for a call is written back as the same
+// bytes, and a driver that plays it comes to an end.
+void PlayRecording(std::span<const std::byte> bytes) {
+  if (const auto call = v4l2::DecodeCall(bytes)) {
+    const std::vector<std::byte> again = v4l2::EncodeCall(*call);
+    const auto twice = v4l2::DecodeCall(again);
+    Check(twice && v4l2::EncodeCall(*twice) == again && !call->Request().empty());
+  }
+  const auto magic = std::as_bytes(std::span(v4l2::kKernelCallMagic));
+  std::vector<std::byte> recording(magic.begin(), magic.end());
+  recording.insert(recording.end(), bytes.begin(), bytes.end());
+  auto system = v4l2::MakeReplayingSystem(std::move(recording));
+  Check(system.has_value());
+  v4l2::V4l2CameraOptions options;
+  options.layout = Layout::kPerspective;
+  options.latency_frames = 4;
+  const auto camera = v4l2::OpenAndSetUp(**system, options, (*system)->clock());
+  if (!camera) {
+    Check(!camera.error().message.empty());
+    return;
+  }
+  if (!(*camera)->stream->Start((*camera)->frame)) return;
+  for (int i = 0; i < 16; ++i) {
+    const auto next = (*camera)->stream->Next(Nanoseconds(0));
+    if (!next) break;
+    if (!*next) continue;
+    static_cast<void>(v4l2::ReadPixels((*next)->bytes, (*camera)->frame));
+    if (!(*camera)->stream->Recycle(**next)) break;
+  }
+}
+
 }  // namespace
 
 // Any bytes in a buffer give a picture of the size set or an error with a message; any answers of a
-// kernel end in a camera that can be believed or in an error with a message.
+// kernel end in a camera that can be believed or in an error with a message; so does any recording.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size == 0) return 0;
+  if (data[0] == 0xFF) {
+    PlayRecording(std::as_bytes(std::span(data + 1, size - 1)));
+    return 0;
+  }
   if (data[0] % 2 == 0) {
     CheckPixels(data + 1, size - 1);
     return 0;

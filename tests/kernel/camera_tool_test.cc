@@ -125,6 +125,26 @@ TEST_F(CameraTool, TheWebcamPassesTheWholeTestAndIsUnpluggedWhenAsked) {
   EXPECT_THAT(log, HasSubstr("gone, said so, and back with a picture"));
 }
 
+TEST_F(CameraTool, WhatPassedBetweenTheWebcamsDriverAndTheKernelIsPlayedBackWithoutTheWebcam) {
+  ASSERT_TRUE(Eventually([&] { return Ask({"list"}).size() == 2; }));
+  const auto grab = [&](const char* with, const char* exposure) {
+    return RunOmnihdr({"camera", "grab", "--exposure", exposure, "--count", "3", "--json", with,
+                       path("webcam.v4l2"), "--config", path("v4l2.toml")},
+                      folder_.path());
+  };
+  const auto recorded = grab("--record", "0.008");
+  ASSERT_EQ(recorded.first, 0) << recorded.second;
+  EXPECT_EQ(json::parse(recorded.second).size(), 3U);
+  EXPECT_THAT(recorded.second, HasSubstr("\"proof\": \"latency\""));
+  webcam_plug_.Unplug();
+  const auto played = grab("--replay", "0.008");
+  EXPECT_EQ(played.first, 0) << played.second;
+  EXPECT_EQ(played.second, recorded.second);
+  const auto other = grab("--replay", "0.016");
+  EXPECT_NE(other.first, 0);
+  EXPECT_THAT(other.second, HasSubstr("recorded was \"trigger with 0.008 s"));
+}
+
 // Frames are taken for those of an exposure that is not in force yet.
 TEST_F(CameraTool, AWebcamWhoseLatencyIsGivenTooShortFailsTheTest) {
   std::ofstream(path("v4l2.toml"), std::ios::app) << "latency_frames = 1\n";

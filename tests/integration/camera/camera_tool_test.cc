@@ -86,11 +86,18 @@ TEST_F(CameraTool, WhatWasRecordedIsPlayedBackWithoutTheCamera) {
 }
 
 TEST_F(CameraTool, WhatCannotBeRecordedOrSetIsSaid) {
-  auto [code, output] = Run({"info", "--record", path("x")}, "v.toml");
+  std::ofstream(path("sim.toml")) << "[camera]\ndriver = \"sim\"\n";
+  auto [code, output] = Run({"info", "--record", path("x")}, "sim.toml");
   EXPECT_EQ(code, 64) << output;
-  EXPECT_THAT(output, HasSubstr("\"v4l2\": expected \"iidc\" on USB"));
-  std::tie(code, output) = Run({"info", "--replay", path("head.toml")});
-  EXPECT_EQ(code, 65) << output;
+  EXPECT_THAT(output, HasSubstr("\"sim\": expected \"iidc\" on USB, or \"v4l2\" without"));
+  for (const char* config : {"c.toml", "v.toml"}) {
+    std::tie(code, output) = Run({"info", "--replay", path("head.toml")}, config);
+    EXPECT_EQ(code, 65) << output;
+    EXPECT_THAT(output, HasSubstr("head.toml: no recording of "));
+  }
+  std::tie(code, output) = Run({"info", "--record", path("none/x")}, "v.toml");
+  EXPECT_EQ(code, 73) << output;
+  EXPECT_THAT(output, HasSubstr("V4L2 recording: "));
   std::tie(code, output) = Run({"info", "--replay", "a", "--record", "b"});
   EXPECT_NE(code, 0);
   EXPECT_THAT(output, HasSubstr("excludes"));
