@@ -10,7 +10,8 @@
 
 #include <fstream>
 #include <sstream>
-#include <thread>
+
+#include "tests/support/eventually.h"
 
 namespace omnihdr::integration {
 namespace {
@@ -104,12 +105,7 @@ std::pair<int, std::string> RunOmnihdr(const std::vector<std::string>& arguments
 }
 
 bool Eventually(const std::function<bool()>& holds, std::chrono::seconds timeout) {
-  const auto deadline = std::chrono::steady_clock::now() + timeout;
-  while (!holds()) {
-    if (std::chrono::steady_clock::now() > deadline) return false;
-    std::this_thread::sleep_for(std::chrono::milliseconds(5));
-  }
-  return true;
+  return testing::Eventually(holds, timeout);
 }
 
 std::map<std::string, std::string> FilesBelow(const std::filesystem::path& directory) {

@@ -1,6 +1,7 @@
 #include "tests/kernel/appliance.h"
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 #include <signal.h>
 
 #include <fstream>
@@ -87,6 +88,37 @@ std::vector<FrameRecord> ApplianceTest::Journal() const {
   auto contents = ReadSession(path("sessions") / "s");
   EXPECT_TRUE(contents) << contents.error().message;
   return contents ? contents->journal.frames : std::vector<FrameRecord>{};
+}
+
+void ApplianceTest::UnplugInABracket(
+    const Cable& cable, const std::array<double, 2>& ladder,
+    const std::function<void(const FrameRecord&, double)>& expect_frame) {
+  ASSERT_TRUE(Shoot());
+  ASSERT_TRUE(Shoot());
+  cable.before_the_third();
+  ++edges_;
+  chip_.Pulse(kTrigger);
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["in_flight"] == 1; }));
+  cable.unplug();
+  ASSERT_TRUE(Becomes("waiting-for-camera")) << daemon_->Log();
+  EXPECT_TRUE(Eventually([&] { return ReadModbus(cable.master)[kState] == kWaitingForCamera; }));
+  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault) && !chip_.IsHigh(kReady); }));
+  ASSERT_TRUE(Answered());
+  cable.plug_in();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }))
+      << daemon_->Log();
+  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kReady); }));
+  ASSERT_TRUE(Shoot());
+  ASSERT_TRUE(Shoot());
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 5U);
+  for (const std::size_t i : {0U, 1U}) {
+    expect_frame(journal[i], ladder[i]);
+    expect_frame(journal[3 + i], ladder[i]);
+  }
+  EXPECT_EQ(journal[2].status, FrameStatus::kCameraTimeout);
+  EXPECT_THAT(journal[2].detail, ::testing::HasSubstr("the camera has gone"));
+  EXPECT_TRUE(journal[2].file.empty());
 }
 
 void ApplianceTest::OutrunTheCamera(

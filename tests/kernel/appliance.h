@@ -70,6 +70,17 @@ class ApplianceTest : public ::testing::Test {
   void OutrunTheCamera(std::size_t edges,
                        const std::function<void(const FrameRecord&, std::size_t)>& expect_frame);
 
+  // A camera is unplugged in the third exposure of a bracket, and comes back: the first two and two
+  // more are frames of the exposures `ladder`, between them the third is a line without one.
+  struct Cable {
+    std::function<void()> unplug;
+    std::function<void()> plug_in;
+    std::function<void()> before_the_third = [] {};  // what makes it last as long as it takes
+    modbus::Endpoint master = TcpEndpoint();         // who reads the state meanwhile
+  };
+  void UnplugInABracket(const Cable& cable, const std::array<double, 2>& ladder,
+                        const std::function<void(const FrameRecord&, double)>& expect_frame);
+
   // What a Modbus master sees, by TCP unless another end of the line is given.
   using Registers = std::array<std::uint16_t, 20>;
   static Registers ReadModbus(const modbus::Endpoint& endpoint = TcpEndpoint());

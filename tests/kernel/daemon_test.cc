@@ -28,7 +28,6 @@ using kernel::kRecorded;
 using kernel::kState;
 using kernel::kTrigger;
 using kernel::kTriggers;
-using kernel::kWaitingForCamera;
 using kernel::kWheel;
 using ::testing::HasSubstr;
 
@@ -102,31 +101,9 @@ TEST_F(Appliance, ABracketIsRecordedEdgeByEdgeAndAMasterReadsAlong) {
 
 TEST_F(Appliance, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCameraReturns) {
   ASSERT_NO_FATAL_FAILURE(Start("[0.001, 0.004, 4.0]"));
-  ASSERT_TRUE(Shoot());
-  ASSERT_TRUE(Shoot());
-  ++edges_;
-  chip_.Pulse(kTrigger);
-  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["in_flight"] == 1; }));
-  plug_.Unplug();
-  ASSERT_TRUE(Becomes("waiting-for-camera")) << daemon_->Log();
-  EXPECT_TRUE(Eventually([&] { return ReadModbus()[kState] == kWaitingForCamera; }));
-  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault) && !chip_.IsHigh(kReady); }));
-  ASSERT_TRUE(Answered());
-  plug_.PlugIn();
-  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }))
-      << daemon_->Log();
-  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kReady); }));
-  ASSERT_TRUE(Shoot());
-  ASSERT_TRUE(Shoot());
-  const std::vector<FrameRecord> journal = Journal();
-  ASSERT_EQ(journal.size(), 5U);
-  ExpectFrame(journal[0], 0.001);
-  ExpectFrame(journal[1], 0.004);
-  EXPECT_EQ(journal[2].status, FrameStatus::kCameraTimeout);
-  EXPECT_THAT(journal[2].detail, HasSubstr("the camera has gone"));
-  EXPECT_TRUE(journal[2].file.empty());
-  ExpectFrame(journal[3], 0.001);
-  ExpectFrame(journal[4], 0.004);
+  UnplugInABracket(
+      {.unplug = [&] { plug_.Unplug(); }, .plug_in = [&] { plug_.PlugIn(); }}, {0.001, 0.004},
+      [&](const FrameRecord& record, double seconds) { ExpectFrame(record, seconds); });
   Stop();
 }
 

@@ -25,15 +25,11 @@ using emulators::UvcDevice;
 using emulators::UvcDeviceOptions;
 using integration::Eventually;
 using kernel::kArmed;
-using kernel::kFault;
 using kernel::kLost;
 using kernel::kReady;
 using kernel::kRecorded;
 using kernel::kState;
-using kernel::kTrigger;
 using kernel::kTriggers;
-using kernel::kWaitingForCamera;
-using ::testing::HasSubstr;
 
 class ApplianceWithAWebcam : public kernel::ApplianceTest {
  protected:
@@ -148,38 +144,28 @@ TEST_F(ApplianceWithAWebcam, ABracketIsRecordedEdgeByEdgeProvedByTheLatencyAndFu
 }
 
 TEST_F(ApplianceWithAWebcam, UnpluggedInTheMiddleOfABracketItGoesOnWhenTheCameraReturns) {
-  const modbus::Endpoint master = kernel::SerialEndpoint(kernel::kOtherEnd);
+  modbus::Endpoint master;
+  master.connection = modbus::Connection::kRtu;
+  master.device = kernel::kOtherEnd;
+  master.baud = kernel::kSerialBaud;
   ASSERT_NO_FATAL_FAILURE(StartGrey(fmt::format("connection = \"rtu\"\ndevice = \"{}\"\nbaud = {}",
                                                 kernel::kOneEnd, master.baud)));
-  ASSERT_TRUE(Shoot());
-  ASSERT_TRUE(Shoot());
-  UvcDevice::Faults faults;
-  faults.silent = true;  // so that the third is on its way as long as it takes
-  device_->Set(faults);
-  ++edges_;
-  chip_.Pulse(kTrigger);
-  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["triggers"]["in_flight"] == 1; }));
-  plug_->Unplug();
-  device_->Set({});
-  ASSERT_TRUE(Becomes("waiting-for-camera")) << daemon_->Log();
-  EXPECT_TRUE(Eventually([&] { return ReadModbus(master)[kState] == kWaitingForCamera; }));
-  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kFault) && !chip_.IsHigh(kReady); }));
-  ASSERT_TRUE(Answered());
-  plug_->PlugIn();
-  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }))
-      << daemon_->Log();
-  EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kReady); }));
-  ASSERT_TRUE(Shoot());
-  ASSERT_TRUE(Shoot());
-  const std::vector<FrameRecord> journal = Journal();
-  ASSERT_EQ(journal.size(), 5U);
-  ExpectFrame(journal[0], 0.002);
-  ExpectFrame(journal[1], 0.008);
-  EXPECT_EQ(journal[2].status, FrameStatus::kCameraTimeout);
-  EXPECT_THAT(journal[2].detail, HasSubstr("the camera has gone"));
-  EXPECT_TRUE(journal[2].file.empty());
-  ExpectFrame(journal[3], 0.002);
-  ExpectFrame(journal[4], 0.008);
+  const auto be_silent = [&](bool on) {
+    UvcDevice::Faults faults;
+    faults.silent = on;
+    device_->Set(faults);
+  };
+  UnplugInABracket({.unplug =
+                        [&] {
+                          plug_->Unplug();
+                          be_silent(false);
+                        },
+                    .plug_in = [&] { plug_->PlugIn(); },
+                    .before_the_third = [&] { be_silent(true); },
+                    .master = master},
+                   {0.002, 0.008}, [&](const FrameRecord& record, double seconds) {
+                     ExpectFrame(record, seconds);
+                   });
   Stop();
 }
 

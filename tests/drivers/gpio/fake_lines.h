@@ -3,30 +3,20 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-#include <chrono>
 #include <deque>
-#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "core/base/file.h"
 #include "drivers/gpio/lines.h"
+#include "tests/support/eventually.h"
 
 namespace omnihdr::testing_gpio {
 
-// True as soon as `condition` holds; false when it does not within five seconds.
-inline bool Eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(5);
-  while (std::chrono::steady_clock::now() < deadline) {
-    if (condition()) return true;
-    std::this_thread::sleep_for(std::chrono::milliseconds(1));
-  }
-  return condition();
-}
+using testing::Eventually;
 
 // A chip whose lines a test wiggles. Any thread; outlives the lines it gives.
 struct FakeChip {

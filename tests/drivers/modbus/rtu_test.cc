@@ -5,12 +5,9 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
-#include <mutex>
 #include <thread>
 
-#include "drivers/modbus/server.h"
-#include "drivers/modbus/vehicle.h"
-#include "tests/drivers/modbus/hostile_frames.h"
+#include "tests/drivers/modbus/serial_appliance.h"
 #include "tests/drivers/modbus/slave.h"
 #include "tests/support/temporary_directory.h"
 
@@ -71,60 +68,28 @@ class Cable {
   std::jthread wire_;
 };
 
-class ModbusRtu : public ::testing::Test {
+class ModbusRtu : public testing_modbus::SerialAppliance {
  protected:
-  static modbus::Endpoint At(const std::string& device) {
-    modbus::Endpoint endpoint;
-    endpoint.connection = modbus::Connection::kRtu;
-    endpoint.device = device;
-    return endpoint;
-  }
-  void StartServer(const std::string& device) {
+  void StartServerAt(const std::string& device) {
     modbus::ServerOptions options;
     options.endpoint = At(device);
     options.longest_pause = std::chrono::milliseconds(500);
-    server_ = std::make_unique<modbus::StatusServer>(
-        options,
-        [this](ApplianceCommand command) -> Status {
-          std::lock_guard lock(mutex_);
-          commands_.push_back(command);
-          return {};
-        },
-        clock_);
-    ASSERT_TRUE(server_->Start());
-    ASSERT_TRUE(Eventually([&] { return server_->report().up; })) << server_->report().problem;
+    StartServer(options);
   }
   static modbus::VehicleOptions VehicleAt(const std::string& device) {
-    modbus::VehicleOptions options;
-    options.endpoint = At(device);
+    modbus::VehicleOptions options = OdometerAt(At(device));
     options.poll_s = 0.01;
     options.timeout_s = 0.4;
     options.stale_s = 1.5;
     options.reconnect_s = 0.1;
-    options.odometer.address = 16;
-    options.odometer.type = modbus::NumberType::kI32;
-    options.odometer.scale = 0.001;
     return options;
   }
-  bool Reads(const modbus::Vehicle& vehicle, double metres) const {
-    return Eventually([&] {
-      const auto reading = vehicle.OdometerMetres(clock_.Now());
-      return reading && std::abs(*reading - metres) < 1e-6;
-    });
-  }
-
-  SystemClock clock_;
-  std::mutex mutex_;
-  std::vector<ApplianceCommand> commands_;
-  std::unique_ptr<modbus::StatusServer> server_;
 };
 
 TEST_F(ModbusRtu, OneAppliancesOdometerIsAnothersOverALineThatIsTakenOutAndPutIn) {
   Cable cable;
-  StartServer(cable.end(0));
-  ApplianceStatus status;
-  status.odometer_m = 12.345;
-  server_->Show(status);
+  ASSERT_NO_FATAL_FAILURE(StartServerAt(cable.end(0)));
+  ShowOdometer(12.345);
   modbus::Vehicle vehicle(VehicleAt(cable.end(1)), clock_);
   ASSERT_TRUE(vehicle.Start());
   EXPECT_TRUE(Reads(vehicle, 12.345)) << vehicle.report().problem;
@@ -132,17 +97,14 @@ TEST_F(ModbusRtu, OneAppliancesOdometerIsAnothersOverALineThatIsTakenOutAndPutIn
   EXPECT_TRUE(Eventually([&] { return !server_->report().up && !vehicle.report().up; }));
   EXPECT_TRUE(Eventually([&] { return !vehicle.OdometerMetres(clock_.Now()); }));
   cable.PlugIn();
-  status.odometer_m = 12.5;
-  server_->Show(status);
+  ShowOdometer(12.5);
   EXPECT_TRUE(Reads(vehicle, 12.5)) << vehicle.report().problem << server_->report().problem;
 }
 
 TEST_F(ModbusRtu, WhateverComesTheNextGoodRequestIsAnsweredAndNothingIsCommanded) {
   SerialLine line;
-  StartServer(line.name);
-  testing_modbus::ExpectServesBetweenHostileRequests(line.master.get());
-  std::lock_guard lock(mutex_);
-  EXPECT_TRUE(commands_.empty());
+  ASSERT_NO_FATAL_FAILURE(StartServerAt(line.name));
+  ExpectServesBetweenHostileRequestsAndIsCommandedNothing(line.master.get());
 }
 
 TEST_F(ModbusRtu, NoHostileAnswerIsTakenForANumberAndGoodOnesAreReadAfterwards) {

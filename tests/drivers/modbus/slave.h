@@ -10,25 +10,17 @@
 #include <cerrno>
 #include <chrono>
 #include <cstdint>
-#include <functional>
 #include <mutex>
 #include <string>
 #include <thread>
 
 #include "core/base/file.h"
 #include "core/base/tcp.h"
+#include "tests/support/eventually.h"
 
 namespace omnihdr::testing_modbus {
 
-// True as soon as `condition` holds; false when it does not within five seconds.
-inline bool Eventually(const std::function<bool()>& condition) {
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(5);
-  while (std::chrono::steady_clock::now() < deadline) {
-    if (condition()) return true;
-    std::this_thread::sleep_for(std::chrono::milliseconds(2));
-  }
-  return condition();
-}
+using testing::Eventually;
 
 // Both ends of a serial line: a program opens `name`, the other end is `master`.
 struct SerialLine {
