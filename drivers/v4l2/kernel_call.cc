@@ -17,6 +17,7 @@ using recording::CallWriter;
 
 constexpr std::size_t kMaxNodes = 256;
 constexpr std::size_t kMaxNames = 64;
+constexpr std::int32_t kMostErrno = 4095;  // the kernel's own bound
 constexpr std::size_t kMaxControlBytes = 64 * sizeof(v4l2_ext_control);
 
 struct Named {
@@ -243,7 +244,7 @@ std::optional<KernelCall> DecodeCall(std::span<const std::byte> bytes) {
       call.trigger_time = HostTime::FromNanoseconds(static_cast<std::int64_t>(in.Number(8)));
       break;
   }
-  if (!in.ok() || !in.at_end()) return std::nullopt;
+  if (!in.ok() || !in.at_end() || call.result < -kMostErrno) return std::nullopt;
   return call;
 }
 

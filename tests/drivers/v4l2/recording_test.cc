@@ -7,6 +7,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <limits>
 #include <random>
 #include <string>
 #include <thread>
@@ -287,6 +288,10 @@ TEST(V4l2KernelCall, ComesBackAsItWasAndAnyBytesAreACallOrNot) {
   for (std::size_t length = 0; length < bytes.size(); ++length) {
     EXPECT_FALSE(v4l2::DecodeCall(std::span(bytes).first(length))) << length;
   }
+  // No error of a kernel's.
+  v4l2::KernelCall odd = call;
+  odd.result = std::numeric_limits<std::int32_t>::min();
+  EXPECT_FALSE(v4l2::DecodeCall(v4l2::EncodeCall(odd)));
   std::mt19937 random(1);
   for (int round = 0; round < 20000; ++round) {
     std::vector<std::byte> damaged = bytes;
