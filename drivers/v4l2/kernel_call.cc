@@ -17,7 +17,8 @@ using recording::CallWriter;
 
 constexpr std::size_t kMaxNodes = 256;
 constexpr std::size_t kMaxNames = 64;
-constexpr std::int32_t kMostErrno = 4095;  // the kernel's own bound
+constexpr std::int32_t kMostErrno = 4095;                // the kernel's own bound
+constexpr std::int64_t kLatest = std::int64_t{1} << 61;  // nanoseconds of a machine's running
 constexpr std::size_t kMaxControlBytes = 64 * sizeof(v4l2_ext_control);
 
 struct Named {
@@ -90,6 +91,14 @@ std::string Details(const KernelCall& call) {
     default:
       return {};
   }
+}
+
+void Put(CallWriter& out, HostTime time) { out.Put(static_cast<std::uint64_t>(time.ns()), 8); }
+
+HostTime ReadTime(CallReader& in) {
+  const auto ns = static_cast<std::int64_t>(in.Number(8));
+  if (ns < 0 || ns > kLatest) in.Refuse();
+  return HostTime::FromNanoseconds(in.ok() ? ns : 0);
 }
 
 void Put(CallWriter& out, double value) { out.Put(std::bit_cast<std::uint64_t>(value), 8); }
@@ -172,7 +181,7 @@ std::vector<std::byte> EncodeCall(const KernelCall& call) {
   CallWriter out;
   out.Put(static_cast<std::uint64_t>(call.kind), 1);
   out.Put(call.device, 4);
-  out.Put(static_cast<std::uint64_t>(call.at.ns()), 8);
+  Put(out, call.at);
   out.Put(static_cast<std::uint32_t>(call.result), 4);
   switch (call.kind) {
     case Kind::kList:
@@ -199,7 +208,7 @@ std::vector<std::byte> EncodeCall(const KernelCall& call) {
     case Kind::kPrepare:
       Put(out, call.exposure.time.seconds());
       Put(out, call.exposure.gain.value);
-      out.Put(static_cast<std::uint64_t>(call.trigger_time.ns()), 8);
+      Put(out, call.trigger_time);
       break;
   }
   return std::move(out).Take();
@@ -213,7 +222,7 @@ std::optional<KernelCall> DecodeCall(std::span<const std::byte> bytes) {
   if (kind < 1 || kind > static_cast<std::uint64_t>(Kind::kPrepare)) return std::nullopt;
   call.kind = static_cast<Kind>(kind);
   call.device = static_cast<std::uint32_t>(in.Number(4));
-  call.at = HostTime::FromNanoseconds(static_cast<std::int64_t>(in.Number(8)));
+  call.at = ReadTime(in);
   call.result = static_cast<std::int32_t>(static_cast<std::uint32_t>(in.Number(4)));
   switch (call.kind) {
     case Kind::kList:
@@ -241,7 +250,7 @@ std::optional<KernelCall> DecodeCall(std::span<const std::byte> bytes) {
     case Kind::kPrepare:
       call.exposure.time = ExposureTime::Seconds(std::bit_cast<double>(in.Number(8)));
       call.exposure.gain = GainDb{std::bit_cast<double>(in.Number(8))};
-      call.trigger_time = HostTime::FromNanoseconds(static_cast<std::int64_t>(in.Number(8)));
+      call.trigger_time = ReadTime(in);
       break;
   }
   if (!in.ok() || !in.at_end() || call.result < -kMostErrno) return std::nullopt;

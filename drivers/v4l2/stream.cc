@@ -7,6 +7,11 @@
 #include <cerrno>
 
 namespace omnihdr::v4l2 {
+namespace {
+
+constexpr std::int64_t kMostSeconds = 1'000'000'000;  // of a machine's running
+
+}  // namespace
 
 Status Stream::Start(const FrameLayout& layout) {
   if (running_) return {};
@@ -106,9 +111,11 @@ Result<std::optional<Filled>> Stream::Next(Nanoseconds timeout) {
   filled.damaged = (buffer.flags & V4L2_BUF_FLAG_ERROR) != 0;
   filled.taken_out = clock_->Now();
   filled.stamp = filled.taken_out;
-  if ((buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC) {
-    filled.stamp = HostTime::FromNanoseconds(std::int64_t{buffer.timestamp.tv_sec} * 1'000'000'000 +
-                                             std::int64_t{buffer.timestamp.tv_usec} * 1000);
+  const std::int64_t seconds = buffer.timestamp.tv_sec;
+  const std::int64_t microseconds = buffer.timestamp.tv_usec;
+  if ((buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK) == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC &&
+      seconds >= 0 && seconds < kMostSeconds && microseconds >= 0 && microseconds < 1'000'000) {
+    filled.stamp = HostTime::FromNanoseconds(seconds * 1'000'000'000 + microseconds * 1000);
     filled.kind = (buffer.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK) == V4L2_BUF_FLAG_TSTAMP_SRC_SOE
                       ? StampKind::kStart
                       : StampKind::kEnd;

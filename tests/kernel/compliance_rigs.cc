@@ -1,16 +1,14 @@
-// Cameras that take the suite of tests/compliance through the kernel's own drivers.
+// The camera that takes the suite of tests/compliance through the kernel's own driver.
 
 #include <fstream>
 #include <memory>
 
 #include "core/base/clock.h"
-#include "drivers/iidc/iidc_camera.h"
 #include "drivers/v4l2/find_camera.h"
 #include "drivers/v4l2/kernel_device.h"
 #include "drivers/v4l2/v4l2_camera.h"
 #include "tests/compliance/camera_suite.h"
 #include "tests/emulators/iidc_link.h"
-#include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/uvc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
 #include "tests/integration/programs.h"
@@ -65,52 +63,9 @@ Rig MakeWebcamRig() {
   return rig;
 }
 
-struct Head {
-  Head() {
-    const emulators::IidcDeviceOptions& options = device->options();
-    std::ofstream(rig()) << emulators::EmulatedRig(6, options.max_width, options.rows_per_sensor,
-                                                   options.bayer);
-  }
-  std::filesystem::path rig() const { return folder.path() / "head.toml"; }
-  static void WaitUntilThere() {
-    integration::Eventually([] {
-      const auto cameras = iidc::MakeFinder({})->Find();
-      return cameras && !cameras->empty() && cameras->front().open();
-    });
-  }
-
-  const SystemClock clock;
-  const testing::TemporaryDirectory folder;
-  const std::shared_ptr<emulators::IidcDevice> device =
-      std::make_shared<emulators::IidcDevice>(emulators::IidcDeviceOptions{}, clock);
-  emulators::VhciUsb plug{std::make_shared<emulators::IidcUsbFunction>(device)};
-};
-
-Rig MakeHeadRig() {
-  auto head = std::make_shared<Head>();
-  Head::WaitUntilThere();
-  iidc::IidcCameraOptions options;
-  options.rig_file = head->rig();
-  options.frame_timeout_s = 10.0;
-  Rig rig;
-  rig.surroundings = head;
-  rig.camera = iidc::MakeIidcCamera(options);
-  rig.frame_timeout = std::chrono::seconds(20);
-  rig.unplug = [head] { head->plug.Unplug(); };
-  rig.plug_in = [head] {
-    head->plug.PlugIn();
-    Head::WaitUntilThere();
-  };
-  for (const double t : {0.0001, 0.001, 0.004, 0.016, 0.05}) {
-    rig.ladder.push_back(ExposureTime::Seconds(t));
-  }
-  return rig;
-}
-
 }  // namespace
 
-std::vector<RigFactory> AllRigs() {
-  return {{"v4l2_of_the_kernel", MakeWebcamRig}, {"iidc_of_the_kernel", MakeHeadRig}};
-}
+// The IIDC camera takes it through libusb on an emulated device (tests/compliance).
+std::vector<RigFactory> AllRigs() { return {{"v4l2_of_the_kernel", MakeWebcamRig}}; }
 
 }  // namespace omnihdr::compliance
