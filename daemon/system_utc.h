@@ -15,7 +15,7 @@ class SystemUtc final : public UtcReference {
   UtcQuality Quality() const override;
 
  private:
-  const SystemClock clock_;
+  const SystemClock clock_{};
   mutable std::mutex mutex_;
   mutable std::optional<HostTime> asked_;
   mutable UtcQuality quality_;

@@ -70,7 +70,7 @@ class SerialAppliance : public ::testing::Test {
     EXPECT_TRUE(commands_.empty());
   }
 
-  const SystemClock clock_;
+  const SystemClock clock_{};
   std::unique_ptr<modbus::StatusServer> server_;
 
  private:
