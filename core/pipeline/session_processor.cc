@@ -6,10 +6,8 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <set>
 #include <utility>
 
-#include "core/base/crc32c.h"
 #include "core/base/file.h"
 #include "core/base/profile.h"
 #include "core/image/image_io.h"
@@ -17,6 +15,8 @@
 #include "core/pipeline/frame_measurer.h"
 #include "core/pipeline/made_with.h"
 #include "core/pipeline/mover_masks.h"
+#include "core/pipeline/position_set.h"
+#include "core/pipeline/read_frame.h"
 #include "core/pipeline/rig_masks.h"
 #include "core/pipeline/view_files.h"
 #include "core/pipeline/view_pipeline.h"
@@ -103,8 +103,8 @@ class SessionProcessorImpl final : public SessionProcessor {
     OMNIHDR_TRY(RemoveTemporaryViews(views_));
     OMNIHDR_ASSIGN(const auto complete, CompleteViewLevels(views_));
     for (const auto& [position, level] : complete) {
-      complete_.insert(Value(position));
-      if (level > 0) reduced_.insert(Value(position));
+      complete_.Insert(Value(position));
+      if (level > 0) reduced_.Insert(Value(position));
     }
     OMNIHDR_ASSIGN(made_with_, MadeWith(options_, session_));
     if (how_.upgrade) {
@@ -166,7 +166,7 @@ class SessionProcessorImpl final : public SessionProcessor {
   }
 
   bool IsWanted(std::int64_t position) const {
-    return how_.upgrade ? reduced_.contains(position) : !complete_.contains(position);
+    return how_.upgrade ? reduced_.Covers(position) : !complete_.Covers(position);
   }
   ViewPipeline::WantView WantView() const {
     return [this](PositionId position) { return IsWanted(Value(position)); };
@@ -174,16 +174,21 @@ class SessionProcessorImpl final : public SessionProcessor {
 
   // Views made with something else are not brought to full quality but become others.
   Status CheckUpgradable() const {
-    for (const std::int64_t position : reduced_) {
-      OMNIHDR_ASSIGN(const ViewRecord record, ReadViewRecord(views_, PositionId{position}));
-      if (record.made_with == made_with_) continue;
-      return Fail(ErrorKind::kConfig,
-                  "{}: made with other options, another mask or another rig than now (made_with "
-                  "\"{}\", now \"{}\"): upgrade with the configuration it was made with",
-                  (views_ / ViewDirectoryName(record.position)).string(), record.made_with,
-                  made_with_);
-    }
-    return {};
+    Status upgradable;
+    reduced_.ForEach([&](std::int64_t position) {
+      const Result<ViewRecord> record = ReadViewRecord(views_, PositionId{position});
+      if (!record) {
+        upgradable = Forward(record.error());
+      } else if (record->made_with != made_with_) {
+        upgradable = Fail(
+            ErrorKind::kConfig,
+            "{}: made with other options, another mask or another rig than now (made_with "
+            "\"{}\", now \"{}\"): upgrade with the configuration it was made with",
+            (views_ / ViewDirectoryName(record->position)).string(), record->made_with, made_with_);
+      }
+      return upgradable.has_value();
+    });
+    return upgradable;
   }
 
   // The level for the view that the next push finishes.
@@ -191,7 +196,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     if (how_.overload.overload == Overload::kBacklog) return 0;
     int waiting = -1;  // beside the one that is taken now
     for (const auto& [position, frames] : pending_) {
-      if (!complete_.contains(position)) ++waiting;
+      if (!complete_.Covers(position)) ++waiting;
     }
     waiting = std::max(waiting, 0);
     const int before = governor_.level();
@@ -249,6 +254,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     if (is_temporal_) {
       if (IsWanted(position)) OMNIHDR_TRY(ProcessTemporal(position));
       Take(position);
+      complete_.Settle(position);
       return {};
     }
     if (!started_) {
@@ -260,7 +266,10 @@ class SessionProcessorImpl final : public SessionProcessor {
     const int quality_level = NextQualityLevel();
     std::optional<LoadedPosition> loaded = Load(pending_.at(position), true);
     Take(position);
-    if (!loaded) return {};
+    if (!loaded) {
+      complete_.Settle(position);
+      return {};
+    }
     ViewContext context = ContextOf(loaded->reference);
     context.notes = loaded->notes;
     references_[position] = context;
@@ -297,7 +306,7 @@ class SessionProcessorImpl final : public SessionProcessor {
                                       [this](std::int64_t p) { return IsWanted(p); });
     if (missing == positions.begin()) return {};
     for (const std::int64_t p : positions) {
-      if (complete_.contains(p) && !IsWanted(p)) Tell(p);
+      if (complete_.Covers(p) && !IsWanted(p)) Tell(p);
     }
     if (missing == positions.end() && (at_end_ || how_.upgrade)) {
       pending_.clear();
@@ -414,8 +423,9 @@ class SessionProcessorImpl final : public SessionProcessor {
     }
   }
 
-  void Tell(std::int64_t position) {
-    if (!told_.insert(position).second || !callbacks_.view_done) return;
+  // A view that was there before.
+  void Tell(std::int64_t position) const {
+    if (!callbacks_.view_done) return;
     ViewDone done;
     done.position = PositionId{position};
     done.already_complete = true;
@@ -448,7 +458,7 @@ class SessionProcessorImpl final : public SessionProcessor {
     std::vector<const FrameRecord*> usable;
     for (const FrameRecord& record : records) {
       if (record.status != FrameStatus::kOk) continue;
-      Result<DecodedImage> image = LoadFrame(record);
+      Result<DecodedImage> image = ReadFrame(session_, info_.camera, record);
       if (!image) {
         if (count) {
           Warn(fmt::format("frame {}: {}: frame not used", Value(record.frame),
@@ -531,26 +541,6 @@ class SessionProcessorImpl final : public SessionProcessor {
     return notes;
   }
 
-  Result<DecodedImage> LoadFrame(const FrameRecord& record) const {
-    const std::filesystem::path path = session_ / record.file;
-    const ProfileScope read_profile("read");
-    OMNIHDR_ASSIGN(const std::vector<std::byte> bytes, ReadFile(path));
-    if (record.crc32c) {
-      const std::uint32_t crc = Crc32c(bytes);
-      if (crc != *record.crc32c) {
-        return Fail(ErrorKind::kData, "{}: crc32c {}, expected {} as journaled", path.string(), crc,
-                    *record.crc32c);
-      }
-    }
-    const ProfileScope decode_profile("decode");
-    OMNIHDR_ASSIGN(DecodedImage image, DecodeImage(bytes, path.string()));
-    if (image.width() != info_.camera.width || image.height() != info_.camera.height) {
-      return Fail(ErrorKind::kData, "{}: {}x{}, expected {}x{} as session.json says", path.string(),
-                  image.width(), image.height(), info_.camera.width, info_.camera.height);
-    }
-    return image;
-  }
-
   Status ProcessTemporal(std::int64_t position) {
     const auto start = std::chrono::steady_clock::now();
     std::optional<LoadedPosition> loaded = Load(pending_.at(position), true);
@@ -622,13 +612,12 @@ class SessionProcessorImpl final : public SessionProcessor {
         return Forward(written.error(), fmt::format("view {}", Value(waiting.done.position)));
       }
       waiting.done.write_s = SecondsSince(start);
-      complete_.insert(Value(waiting.done.position));
+      complete_.Insert(Value(waiting.done.position));
       if (waiting.done.quality_level > 0) {
-        reduced_.insert(Value(waiting.done.position));
+        reduced_.Insert(Value(waiting.done.position));
       } else {
-        reduced_.erase(Value(waiting.done.position));
+        reduced_.Erase(Value(waiting.done.position));
       }
-      told_.insert(Value(waiting.done.position));
       ++counts_.views_written;
       AppendTiming(waiting.done);
       if (callbacks_.view_done) callbacks_.view_done(waiting.done);
@@ -671,9 +660,8 @@ class SessionProcessorImpl final : public SessionProcessor {
   std::size_t frames_at_newest_ = 0;
   std::map<std::int64_t, ViewContext> references_;  // of positions inside the pipeline
   std::string made_with_;
-  std::set<std::int64_t> complete_;
-  std::set<std::int64_t> reduced_;  // of those, the ones with a quality level above 0
-  std::set<std::int64_t> told_;
+  PositionSet complete_;  // positions that will never have a view are settled in it
+  PositionSet reduced_;   // of those complete, the ones with a quality level above 0
   std::deque<Waiting> waiting_;
   std::size_t warnings_told_ = 0;
   Counts counts_;
