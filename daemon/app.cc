@@ -222,6 +222,7 @@ void App::StartStages() {
                                    c.fault.clear();
                                  });
                                  StartSource();
+                                 TakeStanding();
                                });
                                PrepareNext();
                              },

@@ -177,6 +177,7 @@ class App final : public ApiBackend {
   void OnSignal(int signal);
   void OnHangup();
   void OnTriggersReady();
+  void TakeStanding();
   Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
   void StartSource();
   void DrainSource();
@@ -285,6 +286,7 @@ class App final : public ApiBackend {
   int watched_fd_ = -1;
   std::uint64_t ignored_triggers_ = 0;
   HostTime last_trigger_;
+  std::optional<TriggerEvent> standing_;  // waits for the camera
   std::string end_reason_;
   HostTime stop_deadline_;
   Status outcome_;

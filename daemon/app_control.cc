@@ -116,12 +116,30 @@ void App::OnTriggersReady() {
       ++ignored_triggers_;
       continue;
     }
+    // What is passed next ends the standing.
+    standing_.reset();
+    if ((*event)->standing && (*event)->lost_before == 0 && !state_.conditions().camera_ready) {
+      spdlog::info("trigger: the vehicle stands at a mark: its picture waits for the camera");
+      standing_ = **event;
+      continue;
+    }
     // A refusal is counted and shown in the state.
     [[maybe_unused]] const auto accepted = HandleTrigger(**event);
     CheckSeriesEnd();
     if (!source_running_) return;
   }
   trigger_timer_->Set(clock_.Now());
+}
+
+// The picture of the place where the vehicle stood when its way began to be counted, now that there
+// is a camera. It may have left the mark, and passed no other: where it is, the odometer says.
+void App::TakeStanding() {
+  if (!standing_ || !source_running_) return;
+  TriggerEvent event;
+  event.time = clock_.Now();
+  standing_.reset();
+  [[maybe_unused]] const auto accepted = HandleTrigger(event);
+  CheckSeriesEnd();
 }
 
 void App::DisarmBecause(const Error& error) {
@@ -193,6 +211,7 @@ void App::StopSource() {
   trigger_timer_->Disarm();
   parts_.triggers->Stop();
   source_running_ = false;
+  standing_.reset();
 }
 
 void App::EndSession(const std::string& reason, bool exit_after) {

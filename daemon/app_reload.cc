@@ -142,7 +142,10 @@ Status App::ChangeBracket(const BracketConfig& bracket) {
     std::lock_guard changes_lock(mutex_);
     bracket_changes_ = plan.changes();
   }
-  return controller_->SetPlan(std::move(plan));
+  OMNIHDR_TRY(controller_->SetPlan(std::move(plan)));
+  // The next pulse of its wire finds what the camera has been told before.
+  if (config_.trigger.wired) PrepareNext();
+  return {};
 }
 
 }  // namespace omnihdr

@@ -18,6 +18,9 @@ struct TriggerEvent {
   std::optional<double> odometer_m;  // where, when the source knows
   std::uint64_t lost_before = 0;     // events of this source known to be lost since the last one
   std::string lost_reason;           // how they were lost; empty = not known
+  // The vehicle has not come here but stands here since its way is counted: a picture of it may be
+  // taken later as well, while it stands.
+  bool standing = false;
 };
 
 // Events of a source that are known to be lost, and how; an empty reason = not known.

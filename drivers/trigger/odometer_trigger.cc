@@ -70,6 +70,8 @@ void OdometerTrigger::Synchronise() {
   const std::optional<double> reading = odometer_->OdometerMetres(now);
   if (!reading || !(std::abs(*reading / options_.distance_m) < 9e15)) return;
   const auto mark = static_cast<std::int64_t>(std::ceil(*reading / options_.distance_m - 1e-9));
+  standing_.reset();
+  if (*reading >= static_cast<double>(mark) * options_.distance_m - kRoundingM) standing_ = mark;
   next_ = counted_before_ ? std::max(next_, mark) : mark;
   counted_before_ = true;
   counting_since_ = now;
@@ -98,6 +100,7 @@ Result<std::optional<TriggerEvent>> OdometerTrigger::Poll() {
   event.odometer_m = NextMark();
   event.lost_before = late;
   if (late > 0) event.lost_reason = LateReason();
+  event.standing = standing_ == next_;
   ++next_;
   return event;
 }

@@ -19,8 +19,9 @@ struct OdometerTriggerOptions {
 };
 
 // An event at every multiple of the distance that an odometer reaches, the starting place included
-// when it is one. Every mark counts once, however often the vehicle goes to and fro over it. Marks
-// are passed unseen while the trigger is stopped or before the odometer has a reading.
+// when it is one (TriggerEvent::standing). Every mark counts once, however often the vehicle goes
+// to and fro over it. Marks are passed unseen while the trigger is stopped or before the odometer
+// has a reading.
 class OdometerTrigger final : public TriggerSource {
  public:
   // Both must outlive the trigger.
@@ -50,7 +51,8 @@ class OdometerTrigger final : public TriggerSource {
   Fd fd_;
   std::optional<HostTime> counting_since_;
   bool counted_before_ = false;
-  std::int64_t next_ = 0;  // number of the next mark
+  std::int64_t next_ = 0;                 // number of the next mark
+  std::optional<std::int64_t> standing_;  // the mark that it stood at when counting began
   std::uint64_t odometer_lost_ = 0;
 };
 

@@ -115,6 +115,23 @@ TEST(OdometerTrigger, TheStartingPlaceCountsWhenItIsAMarkHoweverLongTheVehicleHa
   ASSERT_EQ(events.size(), 1U);
   EXPECT_EQ(events[0].time, bench.clock.now);
   EXPECT_EQ(events[0].lost_before, 0U);
+  EXPECT_TRUE(events[0].standing);
+  bench.clock.Set(100.2);
+  bench.odometer->Tell(100.2, 4.1);
+  const std::vector<TriggerEvent> driven = bench.Events();
+  ASSERT_EQ(driven.size(), 1U);
+  EXPECT_FALSE(driven[0].standing) << "a mark that was driven to";
+}
+
+TEST(OdometerTrigger, AStartBetweenTwoMarksIsNoMarkOfStanding) {
+  Bench bench(1.0);
+  bench.odometer->Tell(100.0, 0.5);
+  ASSERT_TRUE(bench.trigger->Start());
+  bench.clock.Set(100.5);
+  bench.odometer->Tell(100.5, 1.2);
+  const std::vector<TriggerEvent> events = bench.Events();
+  ASSERT_EQ(events.size(), 1U);
+  EXPECT_FALSE(events[0].standing);
 }
 
 TEST(OdometerTrigger, AMarkThatIsDrivenOverToAndFroCountsOnce) {
