@@ -134,6 +134,9 @@ Status App::ResumeSession() {
   session->directory = choice_.directory;
   session->info = contents.info;
   session->resumed = true;
+  if (contents.info.bracket && contents.info.bracket->metered) {
+    metered_ = contents.info.bracket->exposures;
+  }
   if (const auto continuation = ContinuationOf(contents.info)) {
     session->first_frame = continuation->first_frame;
   }
@@ -170,8 +173,7 @@ Status App::ResumeSession() {
 // Before there is a camera, so that triggers are numbered and get their lines from the first one
 // on; without a session the lines wait in the recorder.
 Status App::MakeController() {
-  OMNIHDR_ASSIGN(BracketPlan plan,
-                 BracketPlan::Make(MakeBracketOptions(config_.bracket, config_.trigger.burst), {}));
+  OMNIHDR_ASSIGN(BracketPlan plan, BracketPlan::Make(WantedBracket(config_.bracket), {}));
   CaptureOptions options;
   options.frame_timeout = Nanoseconds(std::llround(config_.camera.frame_timeout_s * 1e9));
   options.tolerance.relative = config_.camera.exposure_tolerance;
@@ -215,6 +217,8 @@ void App::StartStages() {
       CameraRunnerEvents{.opened = [this](const CameraInfo& info) { return OnCameraOpened(info); },
                          .started =
                              [this] {
+                               // No trigger comes before the look at the scene.
+                               if (meter_due_) metering_ = true;
                                PostOrLog([this] {
                                  spdlog::info("camera: ready");
                                  state_.Update([](CaptureConditions& c) {

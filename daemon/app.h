@@ -178,6 +178,15 @@ class App final : public ApiBackend {
   void OnHangup();
   void OnTriggersReady();
   void TakeStanding();
+  // Metering (app_meter.cc).
+  void WantMeter();                                           // main loop, when armed
+  void MeterIfDue(const std::stop_token& stop, Stage& self);  // camera thread
+  Result<nlohmann::json> Meter(const std::stop_token& stop, Stage& self);
+  Result<bool> AdoptBracket(const std::vector<ExposureTime>& exposures, nlohmann::json& report);
+  void EndMeter(nlohmann::json report);
+  // What the configuration asks for, or the look at the scene has put in its place.
+  BracketOptions WantedBracket(const BracketConfig& bracket) const;
+  BracketDescription DescribePlan(const BracketPlan& plan) const;
   Result<AcceptedTrigger> HandleTrigger(const TriggerEvent& event);
   void StartSource();
   void DrainSource();
@@ -266,6 +275,8 @@ class App final : public ApiBackend {
   std::uint64_t rotations_ = 0;
   std::optional<SessionInfo> camera_session_;  // what a session of the open camera is begun with
   std::vector<std::string> bracket_changes_;
+  std::optional<std::vector<ExposureTime>> metered_;  // the bracket that was adopted
+  nlohmann::json metering_report_;                    // of the last look, null before it
 
   // Held while a bracket is checked against the camera and put in force.
   std::mutex plan_mutex_;
@@ -316,6 +327,11 @@ class App final : public ApiBackend {
   std::array<std::string, 3> storage_problems_;
   HostTime unsynced_since_;
   HostTime rotation_retry_;
+  // Any thread. A look is wanted; one is being taken, or about to be: nothing else is commanded.
+  std::atomic<bool> meter_due_ = false;
+  std::atomic<bool> metering_ = false;
+  std::atomic<std::uint64_t> commanded_ = 0;  // exposures of triggers
+  std::optional<CameraInfo> metered_camera_;  // camera thread: the one that is open
   // Any thread.
   std::atomic<std::uint64_t> unsynced_ = 0;
   std::atomic<std::uint64_t> storage_errors_ = 0;

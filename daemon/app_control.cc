@@ -118,7 +118,8 @@ void App::OnTriggersReady() {
     }
     // What is passed next ends the standing.
     standing_.reset();
-    if ((*event)->standing && (*event)->lost_before == 0 && !state_.conditions().camera_ready) {
+    if ((*event)->standing && (*event)->lost_before == 0 &&
+        (!state_.conditions().camera_ready || metering_)) {
       spdlog::info("trigger: the vehicle stands at a mark: its picture waits for the camera");
       standing_ = **event;
       continue;
@@ -134,7 +135,7 @@ void App::OnTriggersReady() {
 // The picture of the place where the vehicle stood when its way began to be counted, now that there
 // is a camera. It may have left the mark, and passed no other: where it is, the odometer says.
 void App::TakeStanding() {
-  if (!standing_ || !source_running_) return;
+  if (!standing_ || !source_running_ || metering_) return;
   TriggerEvent event;
   event.time = clock_.Now();
   standing_.reset();
@@ -367,6 +368,7 @@ StatusReport App::BuildStatus() const {
     s.camera_model = camera_model_;
     s.camera_serial = camera_serial_;
     s.bracket_changes = bracket_changes_;
+    s.metering = metering_report_;
     s.lines = lines_;
     s.triggers = journaled_;
     s.session_rotations = rotations_;
@@ -459,6 +461,7 @@ ApiReply App::ArmNow() {
     c.armed = true;
     c.idle.clear();
   });
+  WantMeter();
   StartSource();
   // A source that cannot start, or a series that is complete, disarms again.
   if (!armed_) return ApiReply::Refused(409, state_.conditions().idle);

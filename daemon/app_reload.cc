@@ -141,6 +141,7 @@ Status App::ChangeBracket(const BracketConfig& bracket) {
   {
     std::lock_guard changes_lock(mutex_);
     bracket_changes_ = plan.changes();
+    metered_.reset();  // what is asked for now is in force
   }
   OMNIHDR_TRY(controller_->SetPlan(std::move(plan)));
   // The next pulse of its wire finds what the camera has been told before.

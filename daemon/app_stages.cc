@@ -71,6 +71,7 @@ void Rest(std::stop_token stop, Nanoseconds time) {
 Status App::RunCamera(std::stop_token stop, Stage& self) {
   const LogContext stage({.stage = "camera"});
   while (!stop.stop_requested()) {
+    MeterIfDue(stop, self);
     const Nanoseconds rest = runner_->Turn();
     self.Progress();
     if (rest > Nanoseconds(0)) Rest(stop, std::min<Nanoseconds>(rest, seconds(1)));
@@ -96,14 +97,14 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     bracket = config_.bracket;
   }
   limits.pixel_rad = PixelAngle(info.description, info.files);
-  Result<BracketPlan> plan =
-      BracketPlan::Make(MakeBracketOptions(bracket, config_.trigger.burst), limits);
+  Result<BracketPlan> plan = BracketPlan::Make(WantedBracket(bracket), limits);
   if (!plan) return fault(plan.error());
   for (const std::string& change : plan->changes()) spdlog::warn("bracket: {}", change);
   if (bracket.max_blur_px > 0.0 && limits.pixel_rad <= 0.0) {
     spdlog::warn("bracket: max_blur_px: how large a pixel is cannot be told: not checked");
   }
   exposure_limits_ = limits;
+  metered_camera_ = info;
 
   SessionInfo session_info;
   session_info.camera = info.description;
@@ -111,7 +112,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   session_info.extra_json = WithClock(info.extra_json, utc_.Quality());
   session_info.files = info.files;
   // Nobody asks a recorded frame for an exposure.
-  if (info.proof != ExposureProof::kFile) session_info.bracket = plan->Description();
+  if (info.proof != ExposureProof::kFile) session_info.bracket = DescribePlan(*plan);
   {
     std::lock_guard lock(mutex_);
     camera_session_ = session_info;
@@ -161,6 +162,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
 }
 
 void App::OnCameraAway(const Error& error) {
+  metering_ = false;
   controller_->OnCameraLost(error.message);
   const bool was_ready = state_.conditions().camera_ready;
   const std::string before = state_.conditions().waiting;

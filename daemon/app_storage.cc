@@ -169,7 +169,7 @@ Status App::BeginNextSession(Session& current, FrameId first, const std::string&
   info.created = IsoUtc(clock_.NowUtc());
   info.extra_json = WithContinuation(
       info.extra_json, {current.directory.filename().string(), std::uint64_t{Value(first)}});
-  if (info.bracket) info.bracket = controller_->plan().Description();
+  if (info.bracket) info.bracket = DescribePlan(controller_->plan());
   OMNIHDR_ASSIGN(SessionWriter writer, SessionWriter::Create(directory, info));
   auto next = std::make_shared<Session>(std::move(writer));
   next->directory = directory;

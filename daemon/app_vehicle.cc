@@ -121,7 +121,11 @@ Status App::CommandCamera(const ExposureRequest& request) {
       return Fail(ErrorKind::kCannotCreate, "storage: {}", storage_report_.stop);
     }
   }
+  if (metering_) {
+    return Fail(ErrorKind::kTemporary, "the first look at the scene is being taken");
+  }
   OMNIHDR_TRY(runner_->Command(request));
+  ++commanded_;
   latency_.Commanded(request.trigger, request.trigger_time, clock_.Now());
   // A pulse that cannot be given is counted by its line; the picture is taken all the same.
   if (parts_.strobe) [[maybe_unused]]

@@ -61,14 +61,14 @@ CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired) {
 
 }  // namespace
 
-CameraOptions MakeCameraOptions(const DaemonConfig& config) {
+CameraOptions MakeCameraOptions(const DaemonConfig& config, bool wired) {
   if (config.camera.driver == CameraDriver::kReplay) {
     ReplayOptions replay;
     replay.session = config.camera.replay.session;
     return replay;
   }
   if (config.camera.driver == CameraDriver::kIidc) {
-    return MakeIidcOptions(config.camera, config.trigger.wired);
+    return MakeIidcOptions(config.camera, wired);
   }
   if (config.camera.driver == CameraDriver::kV4l2) {
     v4l2::V4l2CameraOptions v4l2 = config.camera.v4l2;
@@ -92,7 +92,7 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config) {
   options.simulation.sensor.read_noise = from.read_noise;
   options.simulation.sensor.seed = from.seed;
   options.latency_s = from.latency_s;
-  options.wired = config.trigger.wired;
+  options.wired = wired;
   options.faults.lost_probability = from.lost_frame_probability;
   options.faults.torn_probability = from.corrupt_frame_probability;
   options.faults.exposure_probability = from.exposure_error_probability;

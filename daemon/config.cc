@@ -176,6 +176,7 @@ class Loader {
       Problem(line_of("bracket.max_blur_px"), "bracket.speed_m_s",
               "0, expected the speed that is driven with bracket.max_blur_px");
     }
+    CheckMetering(line_of);
     const int steps = static_cast<int>(bracket.Exposures().size());
     if (config.trigger.burst && bracket.frames_per_position != 1 &&
         bracket.frames_per_position != steps) {
@@ -288,6 +289,28 @@ class Loader {
         (!client || !config.modbus.client.odometer.configured())) {
       Problem(line_of("trigger.odometer"), "modbus.client.odometer.register",
               "-1, expected a register, and a connection, with trigger.odometer = \"modbus\"");
+    }
+  }
+
+  // A first look at the scene, and the bracket that it proposes.
+  template <typename LineOf>
+  void CheckMetering(const LineOf& line_of) {
+    const DaemonConfig& config = loaded_.config;
+    if (config.bracket.meter == Metering::kOff) return;
+    const auto problem = [&](const char* key, const char* message) {
+      Problem(line_of("bracket.meter"), key, message);
+    };
+    if (config.camera.driver == CameraDriver::kReplay) {
+      problem("bracket.meter", "expected \"off\" with camera.driver = \"replay\"");
+    }
+    if (config.trigger.wired)
+      problem("bracket.meter", "expected \"off\" with trigger.wired = true");
+    if (config.bracket.meter != Metering::kAdopt) return;
+    if (config.trigger.burst || config.bracket.frames_per_position != 1) {
+      problem(
+          "bracket.meter",
+          "\"adopt\", expected \"report\" or \"off\" with several frames at a position: how many "
+          "exposures a scene needs is not known before");
     }
   }
 
@@ -404,6 +427,18 @@ std::string_view ToString(CameraDriver value) {
 }
 
 std::string_view ToString(IidcFormat value) { return value == IidcFormat::kRaw ? "raw" : "jpeg"; }
+
+std::string_view ToString(Metering value) {
+  switch (value) {
+    case Metering::kOff:
+      return "off";
+    case Metering::kReport:
+      return "report";
+    case Metering::kAdopt:
+      return "adopt";
+  }
+  return "off";
+}
 
 std::string_view ToString(IidcBus value) { return value == IidcBus::kUsb ? "usb" : "firewire"; }
 

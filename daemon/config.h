@@ -40,6 +40,7 @@ enum class IidcBus { kUsb, kFirewire };
 enum class IidcCoding { kRaw8, kMono8, kRaw16, kMono16 };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
+enum class Metering { kOff, kReport, kAdopt };
 enum class LogLevel { kDebug, kInfo, kWarning, kError };
 // What is deleted by itself.
 enum class Retention {
@@ -54,6 +55,7 @@ std::string_view ToString(SimScene value);
 std::string_view ToString(SimLayout value);
 std::string_view ToString(IidcFormat value);
 std::string_view ToString(IidcBus value);
+std::string_view ToString(Metering value);
 std::string_view ToString(IidcCoding value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(OdometerKind value);
@@ -152,7 +154,9 @@ struct BracketConfig {
   double max_blur_px = 0.0;  // of what is near_m away at speed_m_s; 0 = any
   double speed_m_s = 0.0;
   double near_m = 5.0;
-  int retake = 1;  // how often a step that was not proved is taken again
+  int retake = 1;                   // how often a step that was not proved is taken again
+  Metering meter = Metering::kOff;  // a first look at the scene when armed
+  double meter_longest_s = 0.25;    // longest exposure of that
   // The exposures in force, in the order configured. Never empty in a loaded configuration.
   std::vector<ExposureTime> Exposures() const;
 };

@@ -395,6 +395,10 @@ std::vector<ConfigKey> MakeKeys() {
   add(Number("bracket.speed_m_s", "metres per second", 0, 100, OMNIHDR_MEMBER(bracket.speed_m_s)));
   add(Number("bracket.near_m", "metres", 0.1, 1000, OMNIHDR_MEMBER(bracket.near_m)));
   add(Whole("bracket.retake", "a whole number", 0, 8, OMNIHDR_MEMBER(bracket.retake)));
+  add(Choice("bracket.meter", std::vector{Metering::kOff, Metering::kReport, Metering::kAdopt},
+             OMNIHDR_MEMBER(bracket.meter)));
+  add(Number("bracket.meter_longest_s", "seconds", 1e-5, 10,
+             OMNIHDR_MEMBER(bracket.meter_longest_s)));
 
   add(Choice("trigger.source",
              std::vector{TriggerKind::kSoftware, TriggerKind::kTimer, TriggerKind::kDistance,

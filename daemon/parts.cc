@@ -40,7 +40,7 @@ Status CheckParts(const DaemonConfig& config) {
 
 Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsContext& context) {
   AppParts parts;
-  OMNIHDR_ASSIGN(parts.camera, MakeCamera(MakeCameraOptions(config)));
+  OMNIHDR_ASSIGN(parts.camera, MakeCamera(MakeCameraOptions(config, config.trigger.wired)));
   switch (config.trigger.source) {
     case TriggerKind::kSoftware:
       parts.triggers = std::make_unique<SoftwareTrigger>();

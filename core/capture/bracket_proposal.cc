@@ -26,6 +26,10 @@ Status ProposalOptions::Validate() const {
   return CheckRange("bright_value", bright_value, 128.0, value_high);
 }
 
+double BracketProposal::RangeStops() const {
+  return dark > 0.0 ? std::log2(std::max(bright / dark, 1.0)) : 0.0;
+}
+
 void SceneRange::Add(const DecodedImage& picture, const Exposure& exposure) {
   Histogram& histogram = exposures_[exposure.EffectiveSeconds()];
   std::visit(

@@ -40,6 +40,7 @@ struct BracketProposal {
   // needed.
   bool bright_reached = false;
   bool dark_reached = false;
+  double RangeStops() const;
 };
 
 // A first look at a scene: pictures of several exposures, of one place or of many, and the bracket

@@ -54,6 +54,8 @@ struct BracketDescription {
   // Frames taken at one position: 1 while driving; the whole bracket for a data matrix. Additive
   // key "frames_per_position", default 1.
   int frames_per_position = 1;
+  // From a look at the scene, not from the configuration. Additive key "metered", default false.
+  bool metered = false;
 };
 
 // A small file that lies beside session.json from the start, such as the rig's calibration.

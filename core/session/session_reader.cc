@@ -128,6 +128,7 @@ Result<BracketDescription> ReadBracket(const ObjectReader& session) {
                  json.IntegerOr("frames_per_position", 1, 1, limits::kMaxFramesPerPosition,
                                 "a whole number in [1, 1000]"));
   bracket.frames_per_position = static_cast<int>(frames);
+  OMNIHDR_ASSIGN(bracket.metered, json.BoolOr("metered", false));
   return bracket;
 }
 
@@ -198,6 +199,7 @@ std::string FormatSessionInfo(const SessionInfo& info) {
     if (info.bracket->frames_per_position != 1) {
       bracket.Add("frames_per_position", info.bracket->frames_per_position);
     }
+    if (info.bracket->metered) bracket.Add("metered", true);
     json.AddObject("bracket", std::move(bracket));
   }
   if (!info.extra_json.empty()) json.AddMembers(info.extra_json);

@@ -200,6 +200,7 @@ Json StatusToJson(const StatusReport& s) {
                              {"errors", link.errors},
                              {"lost", link.lost}});
   }
+  json["metering"] = s.metering;
   if (s.bracket_steps > 0) {
     json["bracket"] = {
         {"order", s.bracket_order},         {"step", s.bracket_step},
@@ -450,6 +451,22 @@ std::string StatusForPeople(const Json& s) {
   if (const Json& bracket = s.at("bracket"); bracket.is_object()) {
     const Json changes = bracket.value("changes", Json::array());
     for (const Json& change : changes) line("bracket", change.get<std::string>());
+  }
+  if (const Json metering = s.value("metering", Json()); metering.is_object()) {
+    if (metering.contains("error")) {
+      line("metering", metering["error"].get<std::string>());
+    } else {
+      std::string steps;
+      for (const Json& step : metering.value("exposures_s", Json::array())) {
+        fmt::format_to(std::back_inserter(steps), "{}{:.6g}", steps.empty() ? "" : ", ",
+                       step.get<double>());
+      }
+      line("metering", fmt::format("{:.1f} stops: {} s{}", metering.value("range_stops", 0.0),
+                                   steps, metering.value("adopted", false) ? ", adopted" : ""));
+      for (const Json& note : metering.value("notes", Json::array())) {
+        line("metering", note.get<std::string>());
+      }
+    }
   }
   if (const Json clock = s.value("clock", Json()); clock.is_object()) {
     const Json error = clock.value("error_s", Json());

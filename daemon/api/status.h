@@ -60,6 +60,7 @@ struct StatusReport {
   int bracket_steps = 0;
   std::string bracket_order;
   std::vector<std::string> bracket_changes;  // what is not as it was configured
+  nlohmann::json metering;  // of the first look at the scene; null = none was taken
   Exposure exposure;
 
   UtcQuality utc;

@@ -1,7 +1,6 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
@@ -14,10 +13,10 @@
 
 #include "core/capture/bracket_plan.h"
 #include "core/capture/bracket_proposal.h"
+#include "core/capture/scene_look.h"
 #include "core/image/image_io.h"
 #include "core/session/session_reader.h"
 #include "daemon/camera_parts.h"
-#include "daemon/cli/camera_trial.h"
 #include "daemon/cli/command.h"
 
 namespace omnihdr {
@@ -26,9 +25,7 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-constexpr int kMostPictures = 12;
 constexpr int kMostFramesOfASession = 60;
-constexpr double kStepOfTheLook = 8.0;
 
 struct BracketArguments {
   std::string session;
@@ -71,7 +68,6 @@ Result<Look> LookAtSession(const BracketArguments& arguments) {
   return look;
 }
 
-// Pictures of the configured camera, from a middle exposure to both ends of the scene's range.
 Result<Look> LookThroughCamera(const BracketArguments& arguments) {
   OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
   OMNIHDR_ASSIGN(const std::unique_ptr<Camera> camera, MakeCamera(MakeCameraOptions(config)));
@@ -84,7 +80,6 @@ Result<Look> LookThroughCamera(const BracketArguments& arguments) {
   }
   OMNIHDR_TRY(camera->Start());
   Look look;
-  look.scene.emplace(info.response, info.description.bits);
   look.limits = {info.shortest, info.longest, info.exposure_quantum_s,
                  PixelAngle(info.description, info.files)};
   look.options.flicker_hz = config.bracket.flicker_hz;
@@ -92,86 +87,16 @@ Result<Look> LookThroughCamera(const BracketArguments& arguments) {
   look.options.max_blur_px = config.bracket.max_blur_px;
   look.options.speed_m_s = config.bracket.speed_m_s;
   look.options.near_m = config.bracket.near_m;
-  const SystemClock clock;
-  const Nanoseconds timeout(static_cast<Nanoseconds::rep>(1e9 * config.camera.frame_timeout_s));
-  const double shortest_s = info.shortest.seconds();
-  const double longest_s = std::min(info.longest.seconds(), arguments.longest_s);
-  const auto take = [&](double seconds) -> Result<Exposure> {
-    ExposureRequest request;
-    request.trigger = TriggerId{static_cast<std::uint64_t>(look.pictures)};
-    request.exposure = {ExposureTime::Seconds(seconds), look.options.gain};
-    request.trigger_time = clock.Now();
-    OMNIHDR_ASSIGN(CameraFrame frame, TakeOnePicture(*camera, request, timeout));
-    if (frame.status != FrameStatus::kOk) {
-      return Fail(ErrorKind::kData, "picture with {:.6g} s: {}: {}", seconds,
-                  ToString(frame.status), frame.detail);
-    }
-    const Exposure exposure = frame.measured_exposure.value_or(request.exposure);
-    DecodedImage image;
-    image.pixels = std::move(frame.pixels);
-    look.scene->Add(image, exposure);
-    ++look.pictures;
-    return exposure;
-  };
-  const ProposalOptions& want = arguments.proposal;
-  double shorter_s = std::clamp(0.004, shortest_s, longest_s);
-  double longer_s = shorter_s;
-  OMNIHDR_ASSIGN(Exposure taken, take(shorter_s));
-  Exposure first = taken;
-  while (look.scene->ClippedShare(taken, want.value_high) > want.bright_share &&
-         shorter_s > shortest_s && look.pictures < kMostPictures) {
-    shorter_s = std::max(shorter_s / kStepOfTheLook, shortest_s);
-    OMNIHDR_ASSIGN(taken, take(shorter_s));
-  }
-  taken = first;
-  while (look.scene->DarkShare(taken, want.value_low) > want.dark_share && longer_s < longest_s &&
-         look.pictures < kMostPictures) {
-    longer_s = std::min(longer_s * kStepOfTheLook, longest_s);
-    OMNIHDR_ASSIGN(taken, take(longer_s));
-  }
+  SceneLookOptions options;
+  options.proposal = arguments.proposal;
+  options.longest_s = arguments.longest_s;
+  options.gain = look.options.gain;
+  options.frame_timeout = Nanoseconds(std::llround(1e9 * config.camera.frame_timeout_s));
+  OMNIHDR_ASSIGN(SceneLook seen, LookAtScene(*camera, info, options, [] { return true; }));
   camera->Stop();
+  look.scene.emplace(std::move(seen.scene));
+  look.pictures = seen.pictures;
   return look;
-}
-
-// The longest bracket of the proposal's that the camera and the configuration allow, from its
-// shortest exposure on; what is left out is said.
-struct Allowed {
-  std::vector<double> exposures_s;
-  std::vector<std::string> notes;
-};
-Result<Allowed> Allow(const BracketProposal& proposal, const Look& look) {
-  Allowed allowed;
-  std::vector<ExposureTime> steps;
-  for (int i = 0; i < std::min(proposal.count, BracketPlan::kMaxSteps); ++i) {
-    ExposureTime step = proposal.shortest + Stops{proposal.step.value * i};
-    step = std::max(step, look.limits.shortest);
-    if (step > look.limits.longest) {
-      allowed.notes.push_back(
-          fmt::format("the camera's longest exposure is {:.6g} s: the darkest "
-                      "parts stay dark",
-                      look.limits.longest.seconds()));
-      step = look.limits.longest;
-    }
-    if (!steps.empty() && !(steps.back() < step)) continue;
-    steps.push_back(step);
-  }
-  std::string last_refusal;
-  while (!steps.empty()) {
-    BracketOptions options = look.options;
-    options.exposures = steps;
-    const Result<BracketPlan> plan = BracketPlan::Make(options, look.limits);
-    if (plan) {
-      for (const ExposureTime step : plan->exposures()) {
-        allowed.exposures_s.push_back(step.seconds());
-      }
-      for (const std::string& change : plan->changes()) allowed.notes.push_back(change);
-      if (!last_refusal.empty()) allowed.notes.push_back("left out: " + last_refusal);
-      return allowed;
-    }
-    last_refusal = plan.error().message;
-    steps.pop_back();
-  }
-  return Fail(ErrorKind::kConfig, "no bracket is allowed: {}", last_refusal);
 }
 
 Result<int> Propose(const BracketArguments& arguments) {
@@ -179,22 +104,16 @@ Result<int> Propose(const BracketArguments& arguments) {
   OMNIHDR_ASSIGN(const Look look, arguments.session.empty() ? LookThroughCamera(arguments)
                                                             : LookAtSession(arguments));
   const BracketProposal proposal = *look.scene->Propose(arguments.proposal);
-  OMNIHDR_ASSIGN(Allowed allowed, Allow(proposal, look));
-  const double stops = std::log2(std::max(proposal.bright / proposal.dark, 1.0));
-  if (!proposal.bright_reached) {
-    allowed.notes.insert(allowed.notes.begin(),
-                         "the brightest parts clip in every picture: the scene goes on beyond");
-  }
-  if (!proposal.dark_reached) {
-    allowed.notes.insert(allowed.notes.begin(),
-                         "the darkest parts are dark in every picture: the scene goes on beyond");
-  }
+  OMNIHDR_ASSIGN(const AllowedBracket allowed, AllowBracket(proposal, look.options, look.limits));
+  std::vector<double> exposures_s;
+  for (const ExposureTime step : allowed.exposures) exposures_s.push_back(step.seconds());
+  const double stops = proposal.RangeStops();
   if (arguments.json) {
     const Json json = {{"pictures", look.pictures},
                        {"range_stops", stops},
                        {"bright_reached", proposal.bright_reached},
                        {"dark_reached", proposal.dark_reached},
-                       {"exposures_s", allowed.exposures_s},
+                       {"exposures_s", exposures_s},
                        {"notes", allowed.notes}};
     fmt::print("{}\n", json.dump(2));
     return 0;
@@ -203,7 +122,7 @@ Result<int> Propose(const BracketArguments& arguments) {
              look.pictures == 1 ? "" : "s", stops);
   for (const std::string& note : allowed.notes) fmt::print("# {}\n", note);
   std::string list;
-  for (const double seconds : allowed.exposures_s) {
+  for (const double seconds : exposures_s) {
     list += fmt::format("{}{:.6g}", list.empty() ? "" : ", ", seconds);
   }
   fmt::print("[bracket]\nexposures_s = [{}]\n", list);

@@ -149,6 +149,31 @@ TEST_F(Daemon, ACameraOnTheTriggersWireIsObservedAndItsBracketIsSetInAdvance) {
   EXPECT_GT(good, 0) << daemon->Log();
 }
 
+TEST_F(Daemon, ALookAtTheSceneBeforeTheFirstPictureBecomesTheBracketOfTheSession) {
+  WriteConfig(
+      "[camera]\ndriver = \"sim\"\nframe_timeout_s = 10.0\n[camera.sim]\nscene = \"tunnel\"\n"
+      "width = 128\n[bracket]\nmeter = \"adopt\"\n[trigger]\narmed_at_start = true\n"
+      "[pipeline]\nenabled = false\n");
+  const auto daemon = Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["metering"].is_object(); }))
+      << daemon->Log();
+  const nlohmann::json metering = StatusNow()["metering"];
+  EXPECT_EQ(metering["adopted"], true) << metering;
+  EXPECT_GT(metering["exposures_s"].size(), 3U) << metering;
+  const auto [code, text] =
+      RunOmnihdr({"status", "--socket", (directory() / "api.sock").string()}, directory());
+  EXPECT_EQ(code, 0);
+  EXPECT_THAT(text, HasSubstr(", adopted"));
+  ASSERT_TRUE(Trigger());
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  const auto contents = ReadSession(session());
+  ASSERT_TRUE(contents) << contents.error().message;
+  ASSERT_TRUE(contents->info.bracket);
+  EXPECT_TRUE(contents->info.bracket->metered);
+  ASSERT_EQ(contents->info.bracket->exposures.size(), metering["exposures_s"].size());
+  EXPECT_EQ(contents->journal.frames.at(0).exposure.time, contents->info.bracket->exposures[0]);
+}
+
 TEST_F(Daemon, TheServiceManagerHearsThatItServesAndThatItLives) {
   WriteConfig(SimCamera());
   const Fd manager(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC, 0));

@@ -197,6 +197,7 @@ RC_GTEST_PROP(SessionProperty, ASessionInfoReadsBackExactlyAsWritten, ()) {
       written.bracket->exposures.push_back(ExposureTime::Seconds(AnyDouble(1e-9, 1e5)));
     }
     written.bracket->frames_per_position = static_cast<int>(AnyInteger(1, 1001));
+    written.bracket->metered = Coin();
   }
   if (Coin()) written.extra_json = R"({"simulation":{"seed":1},"x":[]})";
 
@@ -225,6 +226,7 @@ RC_GTEST_PROP(SessionProperty, ASessionInfoReadsBackExactlyAsWritten, ()) {
     RC_ASSERT(read->bracket->order == written.bracket->order);
     RC_ASSERT(read->bracket->exposures == written.bracket->exposures);
     RC_ASSERT(read->bracket->frames_per_position == written.bracket->frames_per_position);
+    RC_ASSERT(read->bracket->metered == written.bracket->metered);
   }
   RC_ASSERT(read->extra_json == written.extra_json);
   RC_ASSERT(FormatSessionInfo(*read) == text);

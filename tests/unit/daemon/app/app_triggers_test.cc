@@ -297,6 +297,71 @@ TEST_F(AppTriggers, ACameraThatLeavesTriggersWithoutFramesIsOpenedAnewAndThatIsC
   }));
 }
 
+TEST_F(AppTriggers, ALookAtTheSceneGivesTheSessionItsBracketAndAContinuedOneKeepsIt) {
+  config_.bracket.meter = Metering::kAdopt;
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["metering"].is_object(); }));
+  const auto metering = Client().Get("/v1/status").value()["metering"];
+  ASSERT_TRUE(metering["adopted"].get<bool>()) << metering;
+  // One even grey needs one exposure, which makes it bright: 230 instead of 100.
+  ASSERT_EQ(metering["exposures_s"].size(), 1U) << metering;
+  const double seconds = metering["exposures_s"][0];
+  EXPECT_NEAR(seconds / 0.004, 230.0 / 100.0, 0.1);
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(Join(true));
+  const auto begun = ReadSession(session());
+  ASSERT_TRUE(begun) << begun.error().message;
+  ASSERT_TRUE(begun->info.bracket);
+  EXPECT_TRUE(begun->info.bracket->metered);
+  ASSERT_EQ(begun->info.bracket->exposures.size(), 1U);
+  EXPECT_EQ(begun->info.bracket->exposures[0].seconds(), seconds);
+  EXPECT_EQ(nlohmann::json::parse(begun->info.extra_json)["metering"]["pictures"], 1);
+  EXPECT_EQ(begun->journal.frames.at(0).exposure.time.seconds(), seconds);
+  EXPECT_EQ(Value(begun->journal.frames.at(0).frame), 0U) << "no picture of the look is kept";
+
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }));
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 2; }));
+  EXPECT_TRUE(Client().Get("/v1/status").value()["metering"].is_null());
+  EXPECT_TRUE(Join(true));
+  EXPECT_EQ(ReadSession(session())->journal.frames.at(1).exposure.time.seconds(), seconds);
+}
+
+TEST_F(AppTriggers, ALookThatOnlyReportsLeavesTheBracketAsItIs) {
+  config_.bracket.meter = Metering::kReport;
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["metering"].is_object(); }));
+  EXPECT_FALSE(Client().Get("/v1/status").value()["metering"]["adopted"].get<bool>());
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(Join(true));
+  const auto contents = ReadSession(session());
+  EXPECT_FALSE(contents->info.bracket->metered);
+  EXPECT_EQ(contents->journal.frames.at(0).exposure.time.seconds(), config_.bracket.exposures_s[0]);
+}
+
+TEST_F(AppTriggers, ATriggerDuringTheLookIsMissedWithTheReasonAndALookThatFailsCostsNothingElse) {
+  config_.bracket.meter = Metering::kAdopt;
+  config_.camera.frame_timeout_s = 1.0;
+  camera_->SetAnswering(false);
+  Start();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["ready"] == true; }));
+  Trigger();
+  ASSERT_TRUE(
+      StatusHolds([](const auto& s) { return s["triggers"]["missed"]["camera-busy"] == 1; }));
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["metering"].is_object(); }));
+  EXPECT_TRUE(Client().Get("/v1/status").value()["metering"].contains("error"));
+  camera_->SetAnswering(true);
+  Trigger();
+  ASSERT_TRUE(StatusHolds([](const auto& s) { return s["frames_recorded"] == 1; }));
+  EXPECT_TRUE(Join(true));
+  const auto frames = ReadSession(session())->journal.frames;
+  EXPECT_THAT(frames.at(0).detail, HasSubstr("the first look at the scene is being taken"));
+  EXPECT_FALSE(ReadSession(session())->info.bracket->metered);
+}
+
 TEST_F(AppTriggers, WhatTheMainsChangedInTheBracketIsTold) {
   config_.bracket.exposures_s = {0.001, 0.004, 0.012};
   config_.bracket.flicker_hz = 50;

@@ -88,6 +88,14 @@ TEST(Config, ACameraOnTheTriggersWireNeedsALineThatObservesItAndOnePictureAPulse
       << "the simulated camera's pulses are any source's triggers";
 }
 
+TEST(Config, AMeteredBracketIsRefusedWhereItCannotBe) {
+  EXPECT_THAT(OnlyProblem("bracket.meter = 'adopt'\ntrigger.burst = true\n"),
+              HasSubstr("bracket.meter: \"adopt\", expected \"report\" or \"off\""));
+  EXPECT_THAT(OnlyProblem("bracket.meter = 'report'\ntrigger.wired = true\n"),
+              HasSubstr("expected \"off\" with trigger.wired"));
+  EXPECT_TRUE(ParseConfig("bracket.meter = 'report'\ntrigger.burst = true\n", "c.toml").ok());
+}
+
 TEST(ConfigFile, OmnihdrTomlListsEveryKeyWithExactlyTheBuiltInDefault) {
   const LoadedConfig loaded = LoadConfig(kConfigFolder / "omnihdr.toml");
   for (const ConfigProblem& problem : loaded.problems) ADD_FAILURE() << problem.ToString();
