@@ -196,7 +196,7 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
   if (!options_.wired) return Begin(request, clock_.Now(), odometer_m);
   ExposureRequest pulse = request;
   pulse.exposure = prepared_.value_or(request.exposure);
-  const Status begun = Begin(pulse, std::min(request.trigger_time, clock_.Now()), odometer_m);
+  Status begun = Begin(pulse, std::min(request.trigger_time, clock_.Now()), odometer_m);
   // A sensor that is busy does not see the pulse, and nobody is told.
   if (!begun && begun.error().kind == ErrorKind::kTemporary) return {};
   return begun;

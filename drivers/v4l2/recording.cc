@@ -43,7 +43,7 @@ std::vector<std::byte> ArgumentBytes(std::uint32_t request, const void* argument
   std::memcpy(bytes.data(), argument, bytes.size());
   if (HasControls(request)) {
     constexpr std::size_t kPointer = offsetof(v4l2_ext_controls, controls);
-    std::fill_n(bytes.begin() + kPointer, sizeof(v4l2_ext_control*), std::byte{0});
+    std::fill_n(bytes.begin() + kPointer, sizeof(v4l2_ext_controls::controls), std::byte{0});
   }
   return bytes;
 }

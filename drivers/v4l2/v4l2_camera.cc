@@ -179,7 +179,8 @@ Status V4l2Camera::Idle(const std::stop_token& stop) {
   const std::optional<Exposure> hint = camera_->device->TookHint(handover_.TakeHint());
   if (hint && (!set_ || set_->asked != *hint)) {
     const Result<bool> written = SetExposureNow(*hint, stop);
-    if (written && *written) {
+    to_be_held_ = written && *written;
+    if (to_be_held_) {
       std::lock_guard lock(mutex_);
       ++counts_.prepared;
     }
@@ -190,8 +191,9 @@ Status V4l2Camera::Idle(const std::stop_token& stop) {
     return {};
   }
   OMNIHDR_ASSIGN(const std::optional<Filled> filled, NextFrame(kSlice));
-  if (filled) OMNIHDR_TRY(camera_->stream->Recycle(*filled));
-  return {};
+  if (!filled) return {};
+  HoldPrepared(*filled);
+  return camera_->stream->Recycle(*filled);
 }
 
 Result<std::optional<Filled>> V4l2Camera::NextFrame(Nanoseconds timeout) {
@@ -389,34 +391,49 @@ CameraFrame V4l2Camera::MakeFrame(const Shot& shot, const Filled& filled,
                        ? fmt::format("the driver calls buffer {} damaged", filled.sequence)
                        : pixels.error().message;
   } else {
-    HoldAgainstBrightness(filled, exposure, frame);
+    if (std::optional<std::string> contradiction = Contradiction(filled, exposure)) {
+      frame.proof = ExposureProof::kNone;
+      frame.measured_exposure.reset();
+      frame.detail = std::move(*contradiction);
+    }
   }
   frame.pixels = pixels ? std::move(*pixels) : BlackPixels(camera_->frame);
   return frame;
 }
 
-void V4l2Camera::HoldAgainstBrightness(const Filled& filled, const SetExposure& exposure,
-                                       CameraFrame& frame) {
+std::optional<std::string> V4l2Camera::Contradiction(const Filled& filled,
+                                                     const SetExposure& exposure) {
   const std::optional<Reference> before = std::exchange(reference_, std::nullopt);
-  if (!before) return;
+  if (!before) return std::nullopt;
   const Result<Level> level = MeasureLevel(filled.bytes, camera_->frame);
-  if (!level) return;
+  if (!level) return std::nullopt;
   const double stops =
       std::log2(exposure.measured.EffectiveSeconds() / before->exposure.EffectiveSeconds());
   const std::optional<bool> followed = BrightnessFollowed(before->level, *level, stops);
-  if (!followed) return;
+  if (!followed) return std::nullopt;
   if (*followed) {
     contradictions_ = 0;
-    return;
+    return std::nullopt;
   }
   ++contradictions_;
-  frame.proof = ExposureProof::kNone;
-  frame.measured_exposure.reset();
-  frame.detail =
-      fmt::format("brightness went from {:.3f} to {:.3f} of the range after a step of {:.1f} stops",
-                  before->level.mean, level->mean, stops);
-  std::lock_guard lock(mutex_);
-  ++counts_.contradictions;
+  {
+    std::lock_guard lock(mutex_);
+    ++counts_.contradictions;
+  }
+  return fmt::format(
+      "brightness went from {:.3f} to {:.3f} of the range after a step of {:.1f} stops",
+      before->level.mean, level->mean, stops);
+}
+
+// What was prepared is held against brightness as soon as it is in force: at its trigger, seconds
+// later, the scene may be another one. One that contradicts is held against it there, too.
+void V4l2Camera::HoldPrepared(const Filled& filled) {
+  if (!to_be_held_ || !reference_ || !set_ || filled.damaged) return;
+  const std::optional<SetExposure> in_force = log_.InForce(filled.sequence);
+  if (!in_force || in_force->asked != set_->asked) return;
+  to_be_held_ = false;
+  const Reference before = *reference_;
+  if (Contradiction(filled, *in_force)) reference_ = before;
 }
 
 Status V4l2Camera::MeasureAnew() {

@@ -94,7 +94,10 @@ class V4l2Camera final : public Camera {
   Status RecycleReady();
   HostTime ExposureStart(const Filled& filled, const Exposure& exposure) const;
   CameraFrame MakeFrame(const Shot& shot, const Filled& filled, const SetExposure& exposure);
-  void HoldAgainstBrightness(const Filled& filled, const SetExposure& exposure, CameraFrame& frame);
+  // Why a frame's brightness cannot be that of its exposure; nothing when it can, and when there is
+  // nothing to hold it against.
+  std::optional<std::string> Contradiction(const Filled& filled, const SetExposure& exposure);
+  void HoldPrepared(const Filled& filled);
   Status MeasureAnew();
   Status RestartStream();
   void ForgetStream();
@@ -111,6 +114,7 @@ class V4l2Camera final : public Camera {
   std::optional<std::uint32_t> last_sequence_;
   std::optional<HostTime> last_stamp_;
   std::optional<Reference> reference_;
+  bool to_be_held_ = false;  // what was prepared, against `reference_`
   std::optional<Next> next_;
   std::deque<Filled> ready_;  // out of the stream, not looked at yet
   std::uint64_t counter_ = 0;

@@ -120,7 +120,7 @@ std::vector<std::vector<std::uint32_t>> V4l2CameraModel::writes() const {
 
 double V4l2CameraModel::Brightness(double seconds, double gain, int x, int y) const {
   const double scene = 0.25 + 0.75 * (x + y) / (options_.width + options_.height - 2.0);
-  return seconds * gain * scene * options_.light / 255.0;
+  return seconds * gain * scene * light_ * options_.light / 255.0;
 }
 
 V4l2CameraModel::Setting V4l2CameraModel::SettingNow() const {

@@ -2,6 +2,7 @@
 
 #include <linux/videodev2.h>
 
+#include <atomic>
 #include <condition_variable>
 #include <cstddef>
 #include <cstdint>
@@ -62,6 +63,8 @@ class V4l2CameraModel {
   };
   void SetFaults(Faults faults);
   void SetLatency(int frames);
+  // From now on, by a factor of options().light.
+  void SetLight(double factor) { light_ = factor; }
   void Unplug();
   void PlugIn();
 
@@ -114,6 +117,7 @@ class V4l2CameraModel {
   bool plugged_in_ = true;
   std::uint64_t plugging_ = 1;
   int latency_ = 1;
+  std::atomic<double> light_ = 1.0;
   std::map<std::uint32_t, v4l2_query_ext_ctrl> controls_;
   std::map<std::uint32_t, std::int64_t> values_;
   std::vector<std::vector<std::uint32_t>> writes_;

@@ -221,6 +221,44 @@ TEST_F(V4l2CameraTest, APreparedExposureThatIsNotAskedForCostsNothingButItself) 
   ExpectScene(TakeOne(0.003), 0.003, 1.0, 255.0);
 }
 
+TEST_F(V4l2CameraTest, ASceneThatGrowsDarkWhileAnExposureWaitsForItsTriggerIsNoContradiction) {
+  Plug({});
+  Begin();
+  TakeOne(0.0004);
+  camera_->Prepare({ExposureTime::Seconds(0.0016), GainDb{}});
+  std::this_thread::sleep_for(std::chrono::milliseconds(150));  // over thirty frames
+  ASSERT_EQ(camera_->counts().prepared, 1U);
+  emulated_->model->SetLight(1.0 / 8.0);
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  const CameraFrame frame = TakeOne(0.0016);
+  ASSERT_EQ(frame.status, FrameStatus::kOk) << frame.detail;
+  EXPECT_EQ(frame.proof, ExposureProof::kLatency) << frame.detail;
+  ExpectScene(frame, 0.0016, 1.0, 255.0);
+  EXPECT_EQ(camera_->counts().contradictions, 0U);
+}
+
+TEST_F(V4l2CameraTest, APreparedExposureThatDoesNothingIsFoundOutBeforeItsTrigger) {
+  Plug({});
+  Begin();
+  TakeOne(0.0004);
+  V4l2CameraModel::Faults faults;
+  faults.ignores_exposure = true;
+  emulated_->model->SetFaults(faults);
+  camera_->Prepare({ExposureTime::Seconds(0.003), GainDb{}});
+  const SystemClock clock;
+  const HostTime deadline = clock.Now() + std::chrono::seconds(10);
+  while (camera_->counts().contradictions == 0 && clock.Now() < deadline) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  EXPECT_EQ(camera_->counts().contradictions, 1U);
+  // Its frame is not believed, and the latency is measured anew: it cannot be.
+  const CameraFrame frame = TakeOne(0.003);
+  EXPECT_EQ(frame.proof, ExposureProof::kNone);
+  EXPECT_THAT(frame.detail, HasSubstr("brightness went from"));
+  EXPECT_EQ(TakeOne(0.001).proof, ExposureProof::kReadback);
+  EXPECT_EQ(camera_->counts().measurements, 1U);
+}
+
 TEST_F(V4l2CameraTest, FramesThatAreLostInABurstCostTheirTriggersAndNoPictureHasAnotherExposure) {
   V4l2ModelOptions options;
   options.latency_frames = 3;
