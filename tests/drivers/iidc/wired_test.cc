@@ -55,7 +55,7 @@ class WiredIidc : public ::testing::Test {
     }
     return edge.trigger_time;
   }
-  const SystemClock clock_;
+  const SystemClock clock_{};
   std::unique_ptr<EmulatedIidc> emulated_;
   std::unique_ptr<iidc::IidcCamera> camera_;
 };
