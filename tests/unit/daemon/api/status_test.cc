@@ -18,7 +18,7 @@ StatusReport Busy() {
   StatusReport s;
   s.version = "1.2.3";
   s.uptime_s = 12.5;
-  s.state = {CaptureState::kDegraded, "2 of the last 16 triggers gave no frame"};
+  s.state = {CaptureState::kDegraded, "2 of the last 16 triggers gave no frame", "drive slower"};
   s.session_directory = "/data/s";
   s.session_resumed = true;
   s.camera_ready = true;
@@ -39,6 +39,30 @@ StatusReport Busy() {
   s.exposure = {ExposureTime::Seconds(0.004), GainDb{}};
   s.odometer_m = 3.25;
   return s;
+}
+
+TEST(Status, AWiredCameraTheMachinesClockAndALookAtTheSceneAreTold) {
+  StatusReport s = Busy();
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), HasSubstr("free: no time source"));
+  EXPECT_THAT(StatusToMetrics(s), Not(HasSubstr("omnihdr_edges_without_frame_total")));
+  s.trigger_wired = true;
+  s.capture.edges_without_frame = 3;
+  s.capture.frames_without_edge = 2;
+  s.utc = {true, 0.0025, 37};
+  s.metering = {{"range_stops", 9.5},
+                {"exposures_s", {0.001, 0.008}},
+                {"notes", {"left out: a step"}},
+                {"adopted", true}};
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["triggers"]["edges_without_frame"], 3);
+  EXPECT_EQ(json["clock"]["error_s"], 0.0025);
+  const std::string people = StatusForPeople(json);
+  EXPECT_THAT(people, HasSubstr("triggered by distance, the camera on its wire"));
+  EXPECT_THAT(people, HasSubstr("3 edges without frame, 2 frames without edge"));
+  EXPECT_THAT(people, HasSubstr("synchronised, to within 0.0025 s"));
+  EXPECT_THAT(people, HasSubstr("9.5 stops: 0.001, 0.008 s, adopted"));
+  EXPECT_THAT(people, HasSubstr("left out: a step"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_frames_without_edge_total 2\n"));
 }
 
 TEST(Status, JsonHoldsTheNumbersAScriptNeeds) {
@@ -140,6 +164,8 @@ TEST(Status, EveryMetricHasHelpAndTypeOnceAndStandsInTheList) {
   s.storage.minutes_left = 1.0;
   s.storage.free_bytes = 1;
   s.storage.total_bytes = 1;
+  s.trigger_wired = true;
+  s.utc.error_s = 0.001;
   s.last_frame_age_s = 1.0;
   s.gnss.emplace();
   s.links.emplace_back("gpsd", LinkReport{});
