@@ -5,17 +5,17 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <string>
 
 #include "tests/drivers/iidc/emulated.h"
+#include "tests/drivers/settings_fixture.h"
 
 namespace omnihdr::iidc_settings_test {
 namespace {
 
 using ::testing::HasSubstr;
 
-class IidcSettingsTest : public ::testing::Test {
+class IidcSettingsTest : public testing::CameraSettingsTest {
  protected:
   void SetUp() override {
     const auto finder = emulators::MakeEmulatedFinder({emulated_.device});
@@ -23,30 +23,8 @@ class IidcSettingsTest : public ::testing::Test {
     ASSERT_TRUE(opened) << opened.error().message;
     settings_ = std::move(*opened);
   }
-  CameraSetting Find(const std::string& name) {
-    const auto all = settings_->List();
-    EXPECT_TRUE(all) << all.error().message;
-    if (!all) return {};
-    const auto found = std::find_if(all->begin(), all->end(),
-                                    [&](const CameraSetting& each) { return each.name == name; });
-    EXPECT_NE(found, all->end()) << name;
-    return found == all->end() ? CameraSetting{} : *found;
-  }
-  CameraSettingChange Set(const std::string& name, const std::string& value) {
-    const auto change = settings_->Set(name, value);
-    EXPECT_TRUE(change) << change.error().message;
-    return change ? *change : CameraSettingChange{};
-  }
-  std::string UsageError(const std::string& name, const std::string& value) {
-    const auto set = settings_->Set(name, value);
-    EXPECT_FALSE(set);
-    if (set) return {};
-    EXPECT_EQ(set.error().kind, ErrorKind::kUsage);
-    return set.error().message;
-  }
 
   testing::EmulatedIidc emulated_;
-  std::unique_ptr<CameraSettings> settings_;
 };
 
 TEST_F(IidcSettingsTest, AnAbsoluteValueIsSetInItsUnitAndReadBackAsTheCameraQuantisesIt) {

@@ -5,9 +5,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <string>
 
+#include "tests/drivers/settings_fixture.h"
 #include "tests/drivers/v4l2/emulated.h"
 
 namespace omnihdr::v4l2_settings_test {
@@ -15,7 +15,7 @@ namespace {
 
 using ::testing::HasSubstr;
 
-class V4l2SettingsTest : public ::testing::Test {
+class V4l2SettingsTest : public testing::CameraSettingsTest {
  protected:
   void SetUp() override {
     system_ = emulators::MakeEmulatedV4l2({emulated_.model});
@@ -24,25 +24,9 @@ class V4l2SettingsTest : public ::testing::Test {
     ASSERT_EQ(opened->size(), 1U);
     settings_ = std::move(opened->front());
   }
-  CameraSetting Find(const std::string& name) {
-    const auto all = settings_->List();
-    EXPECT_TRUE(all);
-    const auto found = std::find_if(all->begin(), all->end(),
-                                    [&](const CameraSetting& each) { return each.name == name; });
-    EXPECT_NE(found, all->end()) << name;
-    return found == all->end() ? CameraSetting{} : *found;
-  }
-  std::string UsageError(const std::string& name, const std::string& value) {
-    const auto set = settings_->Set(name, value);
-    EXPECT_FALSE(set);
-    if (set) return {};
-    EXPECT_EQ(set.error().kind, ErrorKind::kUsage);
-    return set.error().message;
-  }
 
   testing::EmulatedV4l2 emulated_;
   std::unique_ptr<v4l2::V4l2System> system_;
-  std::unique_ptr<CameraSettings> settings_;
 };
 
 TEST_F(V4l2SettingsTest, EveryControlIsListedWithItsValueAndWhatItTakes) {
