@@ -42,8 +42,10 @@ std::vector<std::byte> ArgumentBytes(std::uint32_t request, const void* argument
   std::vector<std::byte> bytes(_IOC_SIZE(request));
   std::memcpy(bytes.data(), argument, bytes.size());
   if (HasControls(request)) {
-    constexpr std::size_t kPointer = offsetof(v4l2_ext_controls, controls);
-    std::fill_n(bytes.begin() + kPointer, sizeof(v4l2_ext_controls::controls), std::byte{0});
+    v4l2_ext_controls group;
+    std::memcpy(&group, bytes.data(), sizeof group);
+    group.controls = nullptr;
+    std::memcpy(bytes.data(), &group, sizeof group);
   }
   return bytes;
 }
