@@ -16,7 +16,6 @@ namespace {
 
 constexpr std::uint8_t kLowestCode = 1;
 constexpr std::uint8_t kHighestCode = 254;
-constexpr float kGradientCodesPerLn = 60.0F;
 // A dark channel still tells its radiance, if roughly, down to this many times the noise floor;
 // below, it only says "at most".
 constexpr float kDarkNoiseFloors = 2.0F;
@@ -26,23 +25,17 @@ constexpr std::uint64_t kNothing = 0x00FF00FF00FF00FFULL;  // every lane lo = 25
 struct LaneSamples {
   Image<std::uint16_t> red;  // lo, then hi
   Image<std::uint16_t> blue;
-  Image<float> luminance;  // its natural logarithm
+  std::array<Image<float>, 3> logs;  // natural logarithms of red, green and blue
   Image<std::uint8_t> flags;
 };
 
-// Code (LogScale) of each radiance, in place; of luminance the natural logarithm.
+// Natural logarithm of each radiance and `floor`.
 OMNIHDR_SIMD_CLONES
-void ToLogarithms(float* __restrict red, float* __restrict blue, float* __restrict luminance,
-                  int count, float floor, float ln_black, float codes_per_ln) {
+void ToLogarithms(const float* __restrict radiance, int count, float floor, float* __restrict out) {
   constexpr float kLn2 = std::numbers::ln2_v<float>;
-  constexpr auto kFirst = static_cast<float>(kLowestCode);
   for (int j = 0; j < count; ++j) {
-    const float r = red[j] > 0.0F ? red[j] : 0.0F;
-    const float b = blue[j] > 0.0F ? blue[j] : 0.0F;
-    const float y = luminance[j] > 0.0F ? luminance[j] : 0.0F;
-    red[j] = kFirst + (kLn2 * FastLog2(r + floor) - ln_black) * codes_per_ln;
-    blue[j] = kFirst + (kLn2 * FastLog2(b + floor) - ln_black) * codes_per_ln;
-    luminance[j] = kLn2 * FastLog2(y + floor);
+    const float e = radiance[j] > 0.0F ? radiance[j] : 0.0F;
+    out[j] = kLn2 * FastLog2(e + floor);
   }
 }
 
@@ -56,20 +49,15 @@ void ForgiveDark(const float* __restrict radiance, int count, float limit, std::
   }
 }
 
+// The interval of each logarithm's code (LogScale).
 OMNIHDR_SIMD_CLONES
-void LuminanceOf(const float* __restrict r, const float* __restrict g, const float* __restrict b,
-                 int count, float* __restrict out) {
-  for (int j = 0; j < count; ++j) out[j] = 0.2126F * r[j] + 0.7152F * g[j] + 0.0722F * b[j];
-}
-
-// The interval of each code.
-OMNIHDR_SIMD_CLONES
-void Intervals(const float* __restrict code, const std::uint8_t* __restrict flags, int count,
-               std::uint8_t saturated, std::uint8_t dark, std::uint16_t* __restrict out) {
+void Intervals(const float* __restrict logs, const std::uint8_t* __restrict flags, int count,
+               float ln_black, float codes_per_ln, std::uint8_t saturated, std::uint8_t dark,
+               std::uint16_t* __restrict out) {
   constexpr auto kLow = static_cast<float>(kLowestCode);
   constexpr auto kHigh = static_cast<float>(kHighestCode);
   for (int j = 0; j < count; ++j) {
-    float rounded = code[j] + 0.5F;
+    float rounded = kLow + (logs[j] - ln_black) * codes_per_ln + 0.5F;
     rounded = rounded > kLow ? rounded : kLow;
     rounded = rounded < kHigh ? rounded : kHigh;
     const int value = static_cast<int>(rounded);
@@ -79,20 +67,36 @@ void Intervals(const float* __restrict code, const std::uint8_t* __restrict flag
   }
 }
 
-// The interval of each derivative between two places; their flags.
+// A row's logarithms by channel.
+using LogRow = std::array<const float*, 3>;
+
+// The interval of each derivative between two places, of which flags say what was measured: the
+// mean over the channels that both have, by their say in luminance. Most edges change all channels
+// by one factor, so that the rest speaks for a clipped one.
 OMNIHDR_SIMD_CLONES
-void Gradients(const float* __restrict before, const float* __restrict after,
+void Gradients(const LogRow& before, const LogRow& after,
                const std::uint8_t* __restrict flags_before,
-               const std::uint8_t* __restrict flags_after, int count,
+               const std::uint8_t* __restrict flags_after, int count, float codes_per_ln,
                std::uint16_t* __restrict out) {
-  constexpr int kUnmeasured = kMasked | kMover | kSaturatedAny | kDarkAny;
+  const float* __restrict r0 = before[0];
+  const float* __restrict g0 = before[1];
+  const float* __restrict b0 = before[2];
+  const float* __restrict r1 = after[0];
+  const float* __restrict g1 = after[1];
+  const float* __restrict b1 = after[2];
   for (int j = 0; j < count; ++j) {
-    float rounded = 128.5F + kGradientCodesPerLn * 0.5F * (after[j] - before[j]);
+    const int flags = flags_before[j] | flags_after[j];
+    const float r = (flags & (kSaturatedR | kDarkR)) != 0 ? 0.0F : 0.2126F;
+    const float g = (flags & (kSaturatedG | kDarkG)) != 0 ? 0.0F : 0.7152F;
+    const float b = (flags & (kSaturatedB | kDarkB)) != 0 ? 0.0F : 0.0722F;
+    const float weight = r + g + b;
+    const float sum = r * (r1[j] - r0[j]) + g * (g1[j] - g0[j]) + b * (b1[j] - b0[j]);
+    float rounded = 128.5F + 0.5F * codes_per_ln * sum / (weight > 0.0F ? weight : 1.0F);
     rounded = rounded > 1.0F ? rounded : 1.0F;
     rounded = rounded < 254.0F ? rounded : 254.0F;
     const int value = static_cast<int>(rounded);
-    const int flags = flags_before[j] | flags_after[j];
-    out[j] = static_cast<std::uint16_t>((flags & kUnmeasured) != 0 ? 255 << 8 : value | value << 8);
+    const bool measured = (flags & (kMasked | kMover)) == 0 && weight > 0.0F;
+    out[j] = static_cast<std::uint16_t>(measured ? value | value << 8 : 255 << 8);
   }
 }
 
@@ -223,10 +227,12 @@ StereoView MakeStereoView(const Measurement& measurement,
     cos_sin[static_cast<std::size_t>(j)] = {static_cast<float>(std::cos(theta)),
                                             static_cast<float>(std::sin(theta))};
   }
-  LaneSamples samples = {Image<std::uint16_t>::Uninitialized(width, rows),
-                         Image<std::uint16_t>::Uninitialized(width, rows),
-                         Image<float>::Uninitialized(width, rows),
-                         Image<std::uint8_t>::Uninitialized(width, rows)};
+  LaneSamples samples = {
+      Image<std::uint16_t>::Uninitialized(width, rows),
+      Image<std::uint16_t>::Uninitialized(width, rows),
+      {Image<float>::Uninitialized(width, rows), Image<float>::Uninitialized(width, rows),
+       Image<float>::Uninitialized(width, rows)},
+      Image<std::uint8_t>::Uninitialized(width, rows)};
   const RowSampler row_sampler(measurement, RowSampler::Contrast::kNone);
   ParallelFor(rows, 8, [&](int begin, int end) {
     RayRow rays;
@@ -250,15 +256,13 @@ StereoView MakeStereoView(const Measurement& measurement,
         ForgiveDark(row.radiance[c].data(), width, dark_limit,
                     static_cast<std::uint8_t>(kDarkR << c), row.flags.data());
       }
-      float* luminance = samples.luminance.row(i);
-      LuminanceOf(row.radiance[0].data(), row.radiance[1].data(), row.radiance[2].data(), width,
-                  luminance);
-      ToLogarithms(row.radiance[0].data(), row.radiance[2].data(), luminance, width, scale.floor,
-                   scale.ln_black, scale.codes_per_ln);
-      Intervals(row.radiance[0].data(), row.flags.data(), width, kSaturatedR, kDarkR,
-                samples.red.row(i));
-      Intervals(row.radiance[2].data(), row.flags.data(), width, kSaturatedB, kDarkB,
-                samples.blue.row(i));
+      for (std::size_t c = 0; c < 3; ++c) {
+        ToLogarithms(row.radiance[c].data(), width, scale.floor, samples.logs[c].row(i));
+      }
+      Intervals(samples.logs[0].row(i), row.flags.data(), width, scale.ln_black, scale.codes_per_ln,
+                kSaturatedR, kDarkR, samples.red.row(i));
+      Intervals(samples.logs[2].row(i), row.flags.data(), width, scale.ln_black, scale.codes_per_ln,
+                kSaturatedB, kDarkB, samples.blue.row(i));
       std::copy(row.flags.begin(), row.flags.end(), samples.flags.row(i));
     }
   });
@@ -270,7 +274,8 @@ StereoView MakeStereoView(const Measurement& measurement,
     std::vector<std::uint16_t> across(texels);
     std::vector<std::uint16_t> down(texels);
     // With the last ones before the first and the first after the last.
-    std::vector<float> luminance(texels + 2 * kStep);
+    std::array<std::vector<float>, 3> logs;
+    for (std::vector<float>& channel : logs) channel.resize(texels + 2 * kStep);
     std::vector<std::uint8_t> flags(texels + 2 * kStep);
     const auto wrap = [&](const auto* row, auto* wrapped) {
       std::copy_n(row, width, wrapped->begin() + kStep);
@@ -280,12 +285,18 @@ StereoView MakeStereoView(const Measurement& measurement,
     for (int i = begin; i < end; ++i) {
       const int above = std::max(0, i - kStep);
       const int below = std::min(view.height, i + kStep);
-      wrap(samples.luminance.row(i), &luminance);
+      for (std::size_t c = 0; c < 3; ++c) wrap(samples.logs[c].row(i), &logs[c]);
       wrap(samples.flags.row(i), &flags);
-      Gradients(luminance.data(), luminance.data() + 2 * kStep, flags.data(),
-                flags.data() + 2 * kStep, width, across.data());
-      Gradients(samples.luminance.row(above), samples.luminance.row(below),
-                samples.flags.row(above), samples.flags.row(below), width, down.data());
+      const auto from = [&](int column) {
+        return LogRow{logs[0].data() + column, logs[1].data() + column, logs[2].data() + column};
+      };
+      const auto at_row = [&](int row) {
+        return LogRow{samples.logs[0].row(row), samples.logs[1].row(row), samples.logs[2].row(row)};
+      };
+      Gradients(from(0), from(2 * kStep), flags.data(), flags.data() + 2 * kStep, width,
+                scale.gradient_codes_per_ln, across.data());
+      Gradients(at_row(above), at_row(below), samples.flags.row(above), samples.flags.row(below),
+                width, scale.gradient_codes_per_ln, down.data());
       std::uint64_t* out = view.texels.data() + static_cast<std::ptrdiff_t>(i) * (width + 1);
       Pack(samples.red.row(i), samples.blue.row(i), across.data(), down.data(),
            samples.flags.row(i), width, out);

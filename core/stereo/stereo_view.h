@@ -16,6 +16,9 @@ struct LogScale {
   float ln_black = -14.0F;  // ln(E + floor) of code 1
   float codes_per_ln =
       20.0F;  // code = 1 + (ln(E + floor) - ln_black)·codes_per_ln, clamped to 1..254
+  // Codes of a log-luminance derivative (over one pixel of a map) per unit. More tells weaker
+  // texture apart, where noise leaves any: pictures of little noise are matched better with 200.
+  float gradient_codes_per_ln = 60.0F;
   // A scale from the lowest noise floor to the highest saturation among the views.
   static LogScale For(float lowest_noise_floor, float highest_saturation);
   bool operator==(const LogScale&) const = default;
@@ -27,9 +30,9 @@ struct LogScale {
 //   R lo, R hi, B lo, B hi    log radiance; lo = hi for a measured value, hi = 255 where saturated
 //   (the
 //                             truth is at least lo), lo = 0 where dark (at most hi)
-//   gx lo, gx hi, gy lo, gy hi  horizontal and vertical log-luminance derivative, 128 = flat;
-//   0..255 where
-//                             either side is not measured
+//   gx lo, gx hi, gy lo, gy hi  horizontal and vertical log-luminance derivative, 128 = flat; of
+//                             the channels that both sides have measured, 0..255 where there is
+//                             none
 // An impossible R interval (lo > hi) marks a texel that says nothing (masked, not covered).
 // Texel (i, j) looks along equirectangular image point (x = j, y = i) of a lattice of `width`
 // columns and `height` rows: not the pixel centre, so that every centre of a map of half that size

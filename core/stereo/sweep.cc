@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <memory>
+#include <utility>
 
 #include "core/base/simd.h"
+#include "core/stereo/cost_aggregation.h"
 #include "core/stereo/lattice.h"
 #include "core/stereo/tile_sweep.h"
 
@@ -146,7 +148,7 @@ CostVolume SweepCosts(const StereoView& reference, const std::vector<SweepNeighb
   SweepTiles(
       2 * reference_pairs + other_pairs,
       [&] { return std::make_unique<PairTile>(reference, neighbours, views, limits); }, &volume);
-  return volume;
+  return options.aggregates ? AggregateCosts(volume) : std::move(volume);
 }
 
 }  // namespace omnihdr

@@ -16,6 +16,7 @@ struct SweepOptions {
   int gradient_truncation = 36;
   int gradient_shift = 0;          // halves the gradient's say this many times
   int unknown_cost = 24;           // of a pair of which one side says nothing (of 4 lanes' sum)
+  bool aggregates = true;          // each cost becomes the mean of the 3×3 around (AggregateCosts)
   std::vector<LabelRange> ranges;  // searched, tile by tile (cost_volume.h); empty = all labels
 };
 

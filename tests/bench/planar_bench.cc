@@ -30,6 +30,7 @@ namespace {
 
 constexpr double kFieldDegrees = 60.0;
 constexpr int kDisparities = 96;
+constexpr int kLabels = 2 * kDisparities;  // of ours, half a pixel apart
 
 struct Pair {
   cv::Mat left;  // 8-bit RGB
@@ -150,9 +151,14 @@ Measurement Panorama(const cv::Mat& image, double gain, const Plane& plane) {
   std::copy_n(image.data, 3 * image.cols * image.rows, pixels.data());
   decoded.pixels = std::move(pixels);
   const std::vector<ExposedFrame> frames = {{&decoded, {ExposureTime::Seconds(gain), GainDb{}}}};
+  // What these pictures are: rounded to 8 bits, clipped at 255, and nothing else.
+  MeasureOptions options;
+  options.value_low = 1.5;
+  options.value_high = 254.5;
+  options.noise = {.read = 0.3, .gain = 0.005, .prnu = 0.0};
   const Result<Measurement> flat =
       Measure(frames, Projection::Equirectangular(image.cols, image.rows), *Response::Linear(), 8,
-              {}, MeasureOptions{});
+              {}, options);
   if (!flat) std::abort();
   Measurement out;
   out.saturation = flat->saturation;
@@ -204,7 +210,7 @@ std::vector<LabelRange> RangesInField(int width) {
                                  LabelRange{0, kTileLabels});
   for (int y = height / 4; y < 3 * height / 4; ++y) {
     for (int t = 3 * tiles / 8; t <= 5 * tiles / 8; ++t) {
-      ranges[static_cast<std::size_t>(y * tiles + t)] = {0, kDisparities};
+      ranges[static_cast<std::size_t>(y * tiles + t)] = {0, kLabels};
     }
   }
   return ranges;
@@ -216,15 +222,16 @@ cv::Mat OurDisparity(const Pair& pair, const Gains& gains) {
   const int width = plane.MapWidth();
   const Measurement left = Panorama(Exposed(pair.left, gains.left), gains.left, plane);
   const Measurement right = Panorama(Exposed(pair.right, gains.right), gains.right, plane);
-  const LogScale scale =
+  LogScale scale =
       LogScale::For(std::min(left.noise_floor, right.noise_floor),
                     std::max(*std::max_element(left.saturation.begin(), left.saturation.end()),
                              *std::max_element(right.saturation.begin(), right.saturation.end())));
+  scale.gradient_codes_per_ln = 200.0F;  // there is little noise
   const Eigen::Quaterniond level = Eigen::Quaterniond::Identity();
   const StereoView left_view = MakeStereoView(left, level, 2 * width, scale);
   const StereoView right_view = MakeStereoView(right, level, 2 * width, scale);
   SweepOptions options;
-  options.labels = kDisparities;
+  options.labels = kLabels;
   options.max_disparity = kDisparities;
   options.ranges = RangesInField(width);
   // One over the focal length to the right: an inverse depth is a disparity in pixels.

@@ -91,8 +91,8 @@ TEST(StereoView, ASaturatedChannelSaysAtLeast) {
   EXPECT_EQ(b[0], b[1]);
   EXPECT_EQ(b[2], b[0]);
   EXPECT_EQ(b[3], 255);
-  EXPECT_EQ(b[4], 0);  // no gradient either
-  EXPECT_EQ(b[5], 255);
+  EXPECT_EQ(b[4], 128);  // of the others
+  EXPECT_EQ(b[5], 128);
 }
 
 TEST(StereoView, AChannelLostInNoiseSaysAtMost) {
@@ -150,6 +150,27 @@ TEST(StereoView, GradientsFollowTheLogLuminance) {
   EXPECT_NEAR(b[6], 128 - 60.0 * 0.5 * 4 * 0.05, 1.0);
   EXPECT_EQ(b[4], b[5]);
   EXPECT_EQ(b[6], b[7]);
+}
+
+TEST(StereoView, GradientsAreOfTheChannelsThatBothSidesHaveMeasured) {
+  Image<float> radiance(64, 32, 3);
+  for (int y = 0; y < 32; ++y) {
+    for (int x = 0; x < 64; ++x) {
+      radiance.at(x, y, 0) = std::exp(0.01F * static_cast<float>(x));
+      radiance.at(x, y, 1) = std::exp(0.03F * static_cast<float>(x));
+      radiance.at(x, y, 2) = std::exp(0.02F * static_cast<float>(x));
+    }
+  }
+  Measurement m = testing::Perfect(radiance, Projection::Equirectangular(64, 32));
+  const auto gradient = [&] { return Bytes(View(m).row(16)[30]); };
+  const auto expected = [](double per_column) { return 128 + 60.0 * 0.5 * 4 * per_column; };
+  EXPECT_NEAR(gradient()[4], expected(0.2126 * 0.01 + 0.7152 * 0.03 + 0.0722 * 0.02), 1.0);
+  std::fill_n(m.flags.data(), m.flags.size(), std::uint8_t{kSaturatedG});
+  EXPECT_NEAR(gradient()[4], expected((0.2126 * 0.01 + 0.0722 * 0.02) / (0.2126 + 0.0722)), 1.0);
+  EXPECT_EQ(gradient()[4], gradient()[5]);
+  std::fill_n(m.flags.data(), m.flags.size(), std::uint8_t{kSaturatedAny});
+  EXPECT_EQ(gradient()[4], 0);
+  EXPECT_EQ(gradient()[5], 255);
 }
 
 TEST(StereoView, TwoCamerasTurnedDifferentlyAtOnePlaceGiveTheSameView) {
