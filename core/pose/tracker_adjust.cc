@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <optional>
 #include <utility>
 
 #include "core/base/profile.h"
@@ -23,6 +24,11 @@ constexpr double kWildThresholds = 4.0;  // errors above this many thresholds ar
 // are less so, in proportion.
 constexpr double kBestFeaturePixels = 2.0;
 constexpr double kDegree = std::numbers::pi / 180.0;
+constexpr double kShortestWay = 1e-6;  // has no direction
+
+double AngleBetween(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+  return std::atan2(a.cross(b).norm(), a.dot(b));
+}
 
 double Quantile(std::vector<double>& values, double q) {
   const auto index =
@@ -159,6 +165,31 @@ void Tracker::AddPoints(const std::vector<int>& camera_of, const std::vector<Tra
 }
 
 void Tracker::AddDistances(const std::vector<std::size_t>& members, Bundle* bundle) const {
+  const auto camera = [&](int i) -> const BundleCamera& {
+    return bundle->cameras[static_cast<std::size_t>(i)];
+  };
+  // The way from the member before to member i; nothing where there is none or track was lost.
+  const auto way = [&](int i) -> std::optional<Eigen::Vector3d> {
+    if (i < 1 || i >= static_cast<int>(members.size())) return std::nullopt;
+    const auto at = static_cast<std::size_t>(i);
+    if (estimate(members[at - 1]).group != estimate(members[at]).group) return std::nullopt;
+    const Eigen::Vector3d step =
+        camera(i).world_from_camera.translation - camera(i - 1).world_from_camera.translation;
+    if (step.norm() < kShortestWay) return std::nullopt;
+    return step;
+  };
+  // How far the way turns between two places: what the ways before and after tell, since a head may
+  // turn otherwise than what carries it; of two places alone, the head's own turn.
+  const auto turn_of_way = [&](int i) {
+    const auto own = way(i);
+    const auto before = way(i - 1);
+    const auto after = way(i + 1);
+    if (before && after) return 0.5 * AngleBetween(*before, *after);
+    if (own && before) return AngleBetween(*before, *own);
+    if (own && after) return AngleBetween(*own, *after);
+    return camera(i - 1).world_from_camera.rotation.angularDistance(
+        camera(i).world_from_camera.rotation);
+  };
   for (int i = 1; i < static_cast<int>(members.size()); ++i) {
     const auto& before = state_.window[members[static_cast<std::size_t>(i - 1)]].odometer_m;
     const auto& after = state_.window[members[static_cast<std::size_t>(i)]].odometer_m;
@@ -171,10 +202,11 @@ void Tracker::AddDistances(const std::vector<std::size_t>& members, Bundle* bund
     const BundleCamera& from = bundle->cameras[static_cast<std::size_t>(i - 1)];
     const BundleCamera& to = bundle->cameras[static_cast<std::size_t>(i)];
     if (from.fixed && to.fixed) continue;
-    const double turn =
-        from.world_from_camera.rotation.angularDistance(to.world_from_camera.rotation);
-    const double chord = ChordOfArc(*after - *before, turn);
-    bundle->distances.push_back({i - 1, i, chord, kOdometerShare * chord + kOdometerFloor});
+    const double travelled = *after - *before;
+    const double chord = ChordOfArc(travelled, turn_of_way(i));
+    // That the way is an arc is a guess.
+    const double sigma = kOdometerShare * chord + kOdometerFloor + 0.25 * (travelled - chord);
+    bundle->distances.push_back({i - 1, i, chord, sigma});
   }
 }
 

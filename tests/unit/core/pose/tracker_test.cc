@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <functional>
 #include <map>
 #include <utility>
 
@@ -329,6 +330,51 @@ TEST(TrackerOldPlaces, AKeyframeThatIsNotTheSavedOneIsRefused) {
   status = other.RestoreKeyframe(damaged);
   ASSERT_FALSE(status);
   EXPECT_THAT(status.error().message, HasSubstr("position 77 is not remembered"));
+}
+
+// --- Scale ---
+
+// Largest error of a baseline by odometer, as a share of it, over a drive of eight positions.
+double WorstBaseline(const std::function<Pose(int)>& truth, double travelled_per_step) {
+  const FeatureWorld world = Garden(3, 8.0, 1.5e-4);
+  Tracker tracker{PoseOptions{}};
+  for (int i = 0; i < 8; ++i) {
+    tracker.Push(PositionId{i}, world.See(truth(i), 77 + static_cast<std::uint32_t>(i)),
+                 Odometer(20.0 + travelled_per_step * i));
+  }
+  const auto window = tracker.Window();
+  double worst = 0.0;
+  for (std::size_t i = 1; i < window.size(); ++i) {
+    const int at = static_cast<int>(Value(window[i].position));
+    const double found =
+        Relative(window[i - 1].world_from_camera, window[i].world_from_camera).translation.norm();
+    const double right = Relative(truth(at - 1), truth(at)).translation.norm();
+    worst = std::max(worst, std::fabs(found / right - 1.0));
+  }
+  return worst;
+}
+
+TEST(TrackerScale, AHeadThatTurnsOnAStraightWayDoesNotShortenIt) {
+  const auto truth = [](int i) {
+    Pose pose;
+    pose.translation = {0.4 * i - 1.0, 0.1 * i, 0.0};
+    pose.rotation = Eigen::AngleAxisd(60.0 * kDegree * i, Eigen::Vector3d::UnitZ());
+    return pose;
+  };
+  EXPECT_LT(WorstBaseline(truth, std::hypot(0.4, 0.1)), 0.005);
+}
+
+TEST(TrackerScale, AWayThatTurnsIsShorterThanWhatTheWheelsCounted) {
+  constexpr double kTightRadius = 1.0;
+  const auto truth = [](int i) {
+    const double angle = 40.0 * kDegree * i;
+    Pose pose;
+    pose.translation = {kTightRadius * std::sin(angle), kTightRadius * (1.0 - std::cos(angle)),
+                        0.0};
+    pose.rotation = Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ());
+    return pose;
+  };
+  EXPECT_LT(WorstBaseline(truth, 40.0 * kDegree * kTightRadius), 0.005);
 }
 
 TEST(Keyframes, BytesReadBackAndTornOrForeignOnesAreRefused) {
