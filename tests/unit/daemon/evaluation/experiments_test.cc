@@ -187,10 +187,14 @@ TEST_F(Experiments, EveryExperimentRunsOnAMatrixAndFindsWhatHasToBe) {
   EXPECT_EQ(ranges.front().at("SSIM to the first"), 1.0);
 
   // Pixel by pixel forward leaves cracks that closing surfaces mends; backward reads through the
-  // target's own map.
+  // target's own map. Which of these two leaves less is open on pictures this small: half a
+  // percent.
   const Json warped = rows("warp", 0);
-  EXPECT_GT(warped.at(0).at("without a value, %"), warped.at(2).at("without a value, %"));
-  EXPECT_GT(warped.at(2).at("without a value, %"), warped.at(4).at("without a value, %"));
+  const auto hole = [&warped](std::size_t row) {
+    return warped.at(row).at("without a value, %").get<double>();
+  };
+  EXPECT_GT(hole(0), 3.0 * hole(2));
+  EXPECT_GT(hole(0), 3.0 * hole(4));
 
   // The same pictures give the same poses: nothing in the order's own way is compared with itself.
   for (const Json& row : rows("order", 0)) {
