@@ -25,6 +25,7 @@ constexpr double kWildThresholds = 4.0;  // errors above this many thresholds ar
 constexpr double kBestFeaturePixels = 2.0;
 constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kShortestWay = 1e-6;  // has no direction
+constexpr double kArcDoubt = 0.25;     // sigma of an arc's length less its chord's, as a share
 
 double AngleBetween(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b));
@@ -205,7 +206,7 @@ void Tracker::AddDistances(const std::vector<std::size_t>& members, Bundle* bund
     const double travelled = *after - *before;
     const double chord = ChordOfArc(travelled, turn_of_way(i));
     // That the way is an arc is a guess.
-    const double sigma = kOdometerShare * chord + kOdometerFloor + 0.25 * (travelled - chord);
+    const double sigma = kOdometerShare * chord + kOdometerFloor + kArcDoubt * (travelled - chord);
     bundle->distances.push_back({i - 1, i, chord, sigma});
   }
 }

@@ -179,6 +179,7 @@ std::vector<Tracker::Proposal> Tracker::Propose(int chain_id, const TrackedPosit
       std::optional<double> travelled;
       const auto& before = state_.window[from].odometer_m;
       if (before && tracked.odometer_m && *tracked.odometer_m > *before) {
+        // Of two places alone; the adjustment knows the way before and after.
         const double turn = 2.0 * std::acos(std::min(1.0, std::fabs(new_from_old.rotation.w())));
         travelled = ChordOfArc(*tracked.odometer_m - *before, turn);
       }
