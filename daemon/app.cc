@@ -299,6 +299,7 @@ Status App::TearDown() {
     pipeline_stage_->RequestStop();
     const HostTime deadline = clock_.Now() + kPipelineGrace;
     while (!pipeline_stage_->finished() && clock_.Now() < deadline) {
+      notifier_.Retry();
       std::this_thread::sleep_for(milliseconds(10));
     }
     if (!pipeline_stage_->finished()) {

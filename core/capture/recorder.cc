@@ -127,13 +127,12 @@ Recorder::Turn Recorder::Step(FrameStore& store, Nanoseconds timeout) {
 }
 
 void Recorder::Done(const Held& held) {
-  {
-    std::lock_guard lock(mutex_);
-    if (held.line.holds_buffer) ++free_buffers_;
-    --reserved_lines_;
-    --waiting_;
-  }
+  if (held.line.holds_buffer) ReleaseBuffer();
   if (events_.journaled) events_.journaled(held.line.record);
+  // Only then: whoever waits for the last line may leave when it is no longer waiting.
+  std::lock_guard lock(mutex_);
+  --reserved_lines_;
+  --waiting_;
 }
 
 std::size_t Recorder::waiting() const {

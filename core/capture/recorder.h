@@ -83,10 +83,10 @@ class Recorder final : public CaptureSink {
   // One thread only.
   Turn Step(FrameStore& store, Nanoseconds timeout);
 
-  // Lines submitted and not yet in the journal.
+  // Lines submitted that are not in the journal yet, or not told of (RecorderEvents::journaled).
   std::size_t waiting() const;
   std::size_t free_buffers() const;
-  // Lines that are reserved or waiting: 0 when everything accepted is in the journal.
+  // Lines that are reserved or waiting: 0 when everything accepted is in the journal, and told of.
   std::size_t reserved_lines() const;
 
  private:

@@ -366,8 +366,12 @@ class ApiServer::Impl {
       return;
     }
     while (true) {
-      const std::optional<std::string> event = events->Next(kStreamAlive);
-      if (!event && events->closed()) break;
+      std::optional<std::string> event = events->Next(kStreamAlive);
+      if (!event && events->closed()) {
+        // What was published between the end of the wait and the end of the stream.
+        event = events->Next(Nanoseconds(0));
+        if (!event) break;
+      }
       if (!write(frame(event ? *event : R"({"event":"alive"})"))) return;
     }
     if (request.chunks && !connection.Write("0\r\n\r\n", Now() + options_.answer_deadline)) {

@@ -1,6 +1,7 @@
 #include "daemon/doctor/support_bundle.h"
 
 #include <fmt/chrono.h>
+#include <link.h>
 #include <sys/utsname.h>
 
 #include <algorithm>
@@ -10,6 +11,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <regex>
+#include <set>
 #include <sstream>
 #include <system_error>
 #include <utility>
@@ -44,6 +46,23 @@ Result<std::string> Tail(const fs::path& path, std::size_t bytes) {
   text.resize(static_cast<std::size_t>(std::max<std::streamsize>(in.gcount(), 0)));
   if (begin > 0) text.erase(0, text.find('\n') + 1);
   return text;
+}
+
+// The files of the shared libraries in this process, links resolved: a name such as
+// libusb-1.0.so.0.3.0 tells the version.
+std::set<std::string> LoadedLibraries() {
+  std::set<std::string> files;
+  const auto add = [](dl_phdr_info* info, std::size_t, void* found) {
+    std::error_code error;
+    const fs::path file = fs::canonical(info->dlpi_name, error);
+    // The program itself and the kernel's part have no name of a file.
+    if (!error && info->dlpi_name[0] == '/') {
+      static_cast<std::set<std::string>*>(found)->insert(file.string());
+    }
+    return 0;
+  };
+  ::dl_iterate_phdr(add, &files);
+  return files;
 }
 
 std::string Iso(UtcTime time) {
@@ -147,12 +166,36 @@ class Bundle {
     std::string text = fmt::format("omnihdr {}\n{} {} {} {}\n", OMNIHDR_VERSION, kernel.sysname,
                                    kernel.release, kernel.version, kernel.machine);
     text += machine_.Text("/etc/os-release") + "\n";
-    if (const auto packages = machine_.run({"dpkg-query", "-W", "omnihdr", "libusb-1.0-0",
-                                            "libgpiod2", "libmodbus5", "libopenexr-3-1-30",
-                                            "libopencv-core406", "libsystemd0", "gpsd", "udev"})) {
-      text += *packages;
-    }
+    const std::set<std::string> libraries = LoadedLibraries();
+    text += fmt::format("--- packages\n{}--- loaded\n", Packages(libraries));
+    for (const std::string& library : libraries) text += library + "\n";
     Add("versions.txt", text);
+  }
+
+  // Ours, those of the libraries that this program has loaded (which are the daemon's), and what
+  // the daemon talks to.
+  std::string Packages(const std::set<std::string>& libraries) const {
+    std::set<std::string> files = libraries;
+    for (const std::string& library : libraries) {
+      // A package may give the path without it.
+      if (library.starts_with("/usr/")) files.insert(library.substr(4));
+    }
+    std::set<std::string> names = {"gpsd", "omnihdr", "systemd", "udev"};
+    std::error_code error;
+    for (fs::directory_iterator it(machine_.At("/var/lib/dpkg/info"), error), end;
+         !error && it != end; it.increment(error)) {
+      if (it->path().extension() != ".list") continue;
+      std::ifstream list(it->path());
+      for (std::string line; std::getline(list, line);) {
+        if (!files.contains(line)) continue;
+        names.insert(it->path().stem());  // with its architecture where it may have several
+        break;
+      }
+    }
+    std::vector<std::string> versions = {"dpkg-query", "-W"};
+    versions.insert(versions.end(), names.begin(), names.end());
+    const Result<std::string> packages = machine_.run(versions);
+    return packages ? *packages : packages.error().message + "\n";
   }
 
   void AddDoctor() {

@@ -178,6 +178,29 @@ TEST(Recorder, ARecordThatCannotBeWrittenShrinksToABareLine) {
   EXPECT_TRUE(bench.store.files[0].empty());
 }
 
+TEST(Recorder, ALineWaitsUntilItHasBeenToldOf) {
+  std::size_t reserved = 0;
+  std::size_t free_buffers = 0;
+  Recorder* told = nullptr;
+  Recorder recorder({.buffers = 2, .max_waiting_lines = 4},
+                    {.journaled =
+                         [&](const FrameRecord&) {
+                           reserved = told->reserved_lines();
+                           free_buffers = told->free_buffers();
+                         },
+                     .storage_failed = {},
+                     .storage_recovered = {}});
+  told = &recorder;
+  FakeStore store;
+  ASSERT_TRUE(recorder.TryReserveLine());
+  ASSERT_TRUE(recorder.TryReserveBuffer());
+  recorder.Submit(Line(0, true));
+  EXPECT_EQ(recorder.Step(store, kNow), Recorder::Turn::kStored);
+  EXPECT_EQ(reserved, 1U) << "a stop must not overtake the event of the last line";
+  EXPECT_EQ(free_buffers, 2U) << "the next frame need not wait for the event";
+  EXPECT_EQ(recorder.reserved_lines(), 0U);
+}
+
 TEST(Recorder, SubmitsWhileItStores) {
   Bench bench({.buffers = 4, .max_waiting_lines = 64});
   constexpr std::uint64_t kLines = 500;

@@ -1,16 +1,23 @@
 #include <fcntl.h>
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <stdlib.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
+#include <unistd.h>
 
 #include <atomic>
+#include <cstddef>
 #include <cstring>
+#include <string>
 #include <thread>
+#include <vector>
 
 #include "core/base/file.h"
+#include "daemon/watchdog.h"
+#include "tests/support/temporary_directory.h"
 #include "tests/unit/daemon/app/app_fixture.h"
 
 // Whoever stands still, the service manager is not told that all is well.
@@ -32,7 +39,7 @@ class Watchdog : public testing_app::AppFixture {
               0);
     ::setenv("NOTIFY_SOCKET", path.c_str(), 1);
     ::setenv("WATCHDOG_USEC", "200000", 1);  // fed every 100 ms
-    // Read all the time: a full socket would hold up whoever writes to it.
+    // Read all the time: a full socket takes no message.
     reader_ = std::jthread([this](const std::stop_token& stop) {
       while (!stop.stop_requested()) {
         std::string message(4096, '\0');
@@ -133,6 +140,65 @@ TEST_F(Watchdog, IsFedWhileThereIsNoCamera) {
   Start();
   ASSERT_TRUE(InState("waiting-for-camera"));
   EXPECT_GT(Fed(seconds(4)), 10);
+}
+
+// A manager that is busy or stopped itself: its socket takes some hundred messages at most.
+TEST(ServiceNotifier, WaitsForNobodyAndSendsLaterWhatThereWasNoRoomFor) {
+  const testing::TemporaryDirectory directory;
+  const std::string path = (directory.path() / "notify").string();
+  Fd manager(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::strncpy(address.sun_path, path.c_str(), sizeof(address.sun_path) - 1);
+  ASSERT_EQ(::bind(manager.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)), 0);
+  ::setenv("NOTIFY_SOCKET", path.c_str(), 1);
+  ServiceNotifier notifier;
+  ::unsetenv("NOTIFY_SOCKET");
+  std::atomic<bool> done = false;
+  std::jthread talker([&] {
+    for (int i = 0; i < 5000; ++i) notifier.StatusText(fmt::format("text {}", i));
+    notifier.Ready();
+    notifier.FeedWatchdog();
+    done = true;
+  });
+  for (int i = 0; i < 1000 && !done; ++i) std::this_thread::sleep_for(milliseconds(10));
+  EXPECT_TRUE(done);
+  std::vector<std::string> heard;
+  const auto listen = [&] {
+    heard.clear();
+    std::string message(4096, '\0');
+    for (ssize_t n = 0;
+         (n = ::recv(manager.get(), message.data(), message.size(), MSG_DONTWAIT)) > 0;) {
+      heard.push_back(message.substr(0, static_cast<std::size_t>(n)));
+    }
+  };
+  listen();
+  if (!done) manager.Close();  // lets a talker go that waits for room
+  talker.join();
+  ASSERT_GT(heard.size(), 1U);
+  EXPECT_LT(heard.size(), 5000U);
+  EXPECT_EQ(heard.front(), "STATUS=text 0");
+  notifier.FeedWatchdog();
+  listen();
+  EXPECT_EQ(heard, (std::vector<std::string>{"READY=1", "STATUS=text 4999", "WATCHDOG=1"}));
+}
+
+TEST(ServiceNotifier, FindsAManagerWhoseSocketIsNoFile) {
+  const std::string name = fmt::format("omnihdr-notify-{}", ::getpid());
+  const Fd manager(::socket(AF_UNIX, SOCK_DGRAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0));
+  sockaddr_un address{};
+  address.sun_family = AF_UNIX;
+  std::memcpy(address.sun_path + 1, name.data(), name.size());
+  const auto length = static_cast<socklen_t>(offsetof(sockaddr_un, sun_path) + 1 + name.size());
+  ASSERT_EQ(::bind(manager.get(), reinterpret_cast<const sockaddr*>(&address), length), 0);
+  ::setenv("NOTIFY_SOCKET", ("@" + name).c_str(), 1);
+  ServiceNotifier notifier;
+  ::unsetenv("NOTIFY_SOCKET");
+  notifier.Stopping();
+  std::string message(64, '\0');
+  const ssize_t n = ::recv(manager.get(), message.data(), message.size(), 0);
+  ASSERT_GT(n, 0);
+  EXPECT_EQ(message.substr(0, static_cast<std::size_t>(n)), "STOPPING=1");
 }
 
 }  // namespace
