@@ -172,15 +172,15 @@ class Bundle {
     Add("versions.txt", text);
   }
 
-  // Ours, those of the libraries that this program has loaded (which are the daemon's), and what
-  // the daemon talks to.
+  // Ours, those of the libraries that this program has loaded (the daemon's but for libgpiod), and
+  // what the daemon talks to.
   std::string Packages(const std::set<std::string>& libraries) const {
     std::set<std::string> files = libraries;
     for (const std::string& library : libraries) {
       // A package may give the path without it.
       if (library.starts_with("/usr/")) files.insert(library.substr(4));
     }
-    std::set<std::string> names = {"gpsd", "omnihdr", "systemd", "udev"};
+    std::set<std::string> names = {"gpsd", "libgpiod*", "omnihdr", "systemd", "udev"};
     std::error_code error;
     for (fs::directory_iterator it(machine_.At("/var/lib/dpkg/info"), error), end;
          !error && it != end; it.increment(error)) {

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cerrno>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -104,13 +105,15 @@ class Troubles {
     }
   }
 
-  void Turn(double hour) {
+  void Turn(double hour, HostTime now) {
     if (ends_ && hour >= *ends_) {
       storage_.Clear();
       ends_.reset();
+      made_.back().to = now;
     }
     if (ends_ || next_ >= events_.size() || hour < events_[next_].hour) return;
     ends_ = hour + events_[next_].hours;
+    made_.push_back({now, HostTime::FromNanoseconds(INT64_MAX / 2)});
     switch (next_++ % 3) {
       case 0:
         ++counts_["disk full"];
@@ -127,6 +130,7 @@ class Troubles {
     }
   }
   const std::map<std::string, int>& counts() const { return counts_; }
+  const std::vector<Trouble>& made() const { return made_; }
 
  private:
   struct Event {
@@ -138,6 +142,7 @@ class Troubles {
   std::size_t next_ = 0;
   std::optional<double> ends_;
   std::map<std::string, int> counts_;
+  std::vector<Trouble> made_;
 };
 
 int Run(const SoakOptions& options) {
@@ -182,7 +187,7 @@ int Run(const SoakOptions& options) {
   constexpr int kSamples = 240;
   for (double hour = 0.0; hour < options.hours; hour = clock.HoursSince(start)) {
     if (!daemon.running()) GiveUp("omnihdrd has ended", daemon);
-    troubles.Turn(hour);
+    troubles.Turn(hour, clock.Now());
     if (hour >= options.hours * static_cast<double>(result.samples.size()) / kSamples) {
       result.samples.push_back(Look(daemon.pid(), hour));
     }
@@ -212,6 +217,7 @@ int Run(const SoakOptions& options) {
   auto contents = ReadSession(session);
   if (!contents) GiveUp(contents.error().message, daemon);
   result.journal = std::move(contents->journal.frames);
+  result.troubles = troubles.made();
   result.latencies = LatenciesOf(result.journal, start, options.hours, options.speed, kSamples / 5);
 
   std::map<std::string, int> by_status;
@@ -225,6 +231,11 @@ int Run(const SoakOptions& options) {
              result.journal.size(), views);
   for (const auto& [status, count] : by_status) fmt::print("  {}: {}\n", status, count);
   for (const auto& [name, count] : troubles.counts()) fmt::print("  {}: {} times\n", name, count);
+  const MissCauses causes = CausesOf(result);
+  fmt::print(
+      "missed because: storage that was disturbed {}, camera unplugged {}, this computer too slow "
+      "for time {} times as fast {}, anything else {}\n",
+      causes.storage, causes.unplugged, options.speed, causes.slow, causes.other.size());
   const Sample& first = result.samples[result.samples.size() / 4];
   const Sample& last = result.samples.back();
   fmt::print(

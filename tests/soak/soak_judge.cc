@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -11,6 +12,9 @@
 
 namespace omnihdr::soak {
 namespace {
+
+// How long the frames that waited for the storage take to be stored.
+constexpr std::chrono::minutes kTroubleEnds(2);
 
 double Quantile(std::vector<double> values, double share) {
   if (values.empty()) return std::nan("");
@@ -65,6 +69,33 @@ std::vector<Latency> LatenciesOf(const std::vector<FrameRecord>& journal, HostTi
   return latencies;
 }
 
+MissCauses CausesOf(const SoakResult& result) {
+  const auto contains = [](const std::string& text, const char* part) {
+    return text.find(part) != std::string::npos;
+  };
+  MissCauses causes;
+  for (const FrameRecord& record : result.journal) {
+    if (record.status != FrameStatus::kMissedTrigger) continue;
+    if (contains(record.detail, "vanished at trigger") ||
+        contains(record.detail, "the camera is not open yet")) {
+      ++causes.unplugged;
+    } else if (contains(record.detail, "no free frame buffer")) {
+      const bool made =
+          std::any_of(result.troubles.begin(), result.troubles.end(), [&](const Trouble& trouble) {
+            return record.trigger_time >= trouble.from &&
+                   record.trigger_time <= trouble.to + Nanoseconds(kTroubleEnds);
+          });
+      ++(made ? causes.storage : causes.slow);
+    } else if (contains(record.detail, "busy") ||
+               contains(record.detail, "lost this event before it was read")) {
+      ++causes.slow;
+    } else {
+      causes.other.push_back(record.detail);
+    }
+  }
+  return causes;
+}
+
 std::vector<std::string> Judge(const SoakResult& result) {
   std::vector<std::string> problems;
   using S = Sample;
@@ -90,6 +121,17 @@ std::vector<std::string> Judge(const SoakResult& result) {
     return record.status != FrameStatus::kOk && record.detail.empty();
   });
   if (silent > 0) problems.push_back(fmt::format("{} frames lost without a reason", silent));
+  const MissCauses causes = CausesOf(result);
+  if (!causes.other.empty()) {
+    problems.push_back(fmt::format("{} triggers missed for a reason that nobody made: {}",
+                                   causes.other.size(), causes.other.front()));
+  }
+  if (static_cast<std::size_t>(causes.slow) * 5 > journal.size()) {
+    problems.push_back(
+        fmt::format("{} of {} triggers missed because this computer is too slow for the speed of "
+                    "the day: see --speed",
+                    causes.slow, journal.size()));
+  }
   // The timer's times are those of its beats, so the first and the last tell how many there were.
   const double span_s =
       static_cast<double>((journal.back().trigger_time - journal.front().trigger_time).count()) *

@@ -66,5 +66,37 @@ TEST(SoakJudge, ALossWithoutItsReasonIsSilent) {
   EXPECT_THAT(Judge(day), IsEmpty());
 }
 
+TEST(SoakJudge, EveryMissHasItsCauseAndOneThatNobodyMadeIsAProblem) {
+  SoakResult day = FlatDay();
+  const auto miss = [&](int line, const char* detail) {
+    day.journal[static_cast<std::size_t>(line)].status = FrameStatus::kMissedTrigger;
+    day.journal[static_cast<std::size_t>(line)].detail = detail;
+  };
+  day.troubles = {{day.journal[100].trigger_time, day.journal[120].trigger_time}};
+  const char* full = "no free frame buffer: the storage is slower than the triggers";
+  for (const int line : {99, 100, 149, 151}) miss(line, full);
+  miss(200, "no camera: simulated camera: not there: vanished at trigger 199");
+  miss(201, "simulated camera: busy: 4 pictures are on their way");
+  miss(202, "the trigger source lost this event before it was read");
+  const soak::MissCauses causes = soak::CausesOf(day);
+  EXPECT_EQ(causes.storage, 2) << "the time until what waited is stored belongs to the trouble";
+  EXPECT_EQ(causes.unplugged, 1);
+  EXPECT_EQ(causes.slow, 4);
+  EXPECT_THAT(Judge(day), IsEmpty());
+  miss(203, "no reason that is known");
+  EXPECT_THAT(Judge(day), ElementsAre("1 triggers missed for a reason that nobody made: no reason "
+                                      "that is known"));
+}
+
+TEST(SoakJudge, AComputerThatIsTooSlowForTheDayIsTold) {
+  SoakResult day = FlatDay();
+  for (std::size_t i = 0; i < 201; ++i) {
+    day.journal[i].status = FrameStatus::kMissedTrigger;
+    day.journal[i].detail = "simulated camera: busy: 4 pictures are on their way";
+  }
+  EXPECT_THAT(Judge(day), ElementsAre(HasSubstr("201 of 1000 triggers missed because this "
+                                                "computer is too slow")));
+}
+
 }  // namespace
 }  // namespace omnihdr::soak_judge_test

@@ -107,8 +107,8 @@ TEST_F(SupportBundle, NamesThePackageOfEveryLibraryThatIsLoaded) {
   testing::WriteText(path() / "machine/var/lib/dpkg/info/bash.list", "/.\n/bin/bash\n");
   ASSERT_TRUE(doctor::WriteSupportBundle(options_, machine_));
   ASSERT_EQ(asked.size(), 1U);
-  EXPECT_THAT(asked[0], ::testing::ElementsAre("dpkg-query", "-W", "gpsd", "libstdc++6:amd64",
-                                               "omnihdr", "systemd", "udev"));
+  EXPECT_THAT(asked[0], ::testing::ElementsAre("dpkg-query", "-W", "gpsd", "libgpiod*",
+                                               "libstdc++6:amd64", "omnihdr", "systemd", "udev"));
   const std::string versions = Unpacked().at("versions.txt");
   EXPECT_THAT(versions, HasSubstr("libstdc++6:amd64\t12.2.0"));
   EXPECT_THAT(versions, HasSubstr(library.string()));
