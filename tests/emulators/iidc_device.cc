@@ -35,7 +35,8 @@ constexpr std::uint32_t kOn = 1U << 25;
 constexpr std::uint32_t kAuto = 1U << 24;
 constexpr std::uint32_t kStepsPerOctave = 200;
 constexpr std::size_t kMostTriggerTimes = 100'000;
-constexpr std::size_t kMostPictures = 6;  // kept
+constexpr std::size_t kMostPictures = 6;    // kept
+constexpr std::size_t kBabbleBytes = 1700;  // no whole packet at the end
 
 std::uint32_t FromFloat(double value) {
   return std::bit_cast<std::uint32_t>(static_cast<float>(value));
@@ -407,6 +408,14 @@ void IidcDevice::Trigger(std::uint32_t source) {
     }
   }
   sending_.push_back(std::move(frame));
+  if (faults_.babbling_frames > 0) {
+    --faults_.babbling_frames;
+    for (int i = 0; i < 2; ++i) {
+      sending_.push_back({TakePicture(setting, now), 0, busy_until_});
+      ++counter_;
+      sending_.push_back({std::vector<std::byte>(kBabbleBytes, std::byte{0x5A}), 0, busy_until_});
+    }
+  }
 }
 
 double IidcDevice::RadianceAt(int x, int y) const {

@@ -71,6 +71,8 @@ class IidcDevice {
     int stall_stream = 0;
     int damaged_headers = 0;  // of compressed frames
     int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
+    // Babble: sends two pictures more that nobody asked for, and bytes that are no picture.
+    int babbling_frames = 0;
   };
   void Set(const Faults& faults);
   // A pulse on the camera's input 0: it exposes when its trigger is set to that.
