@@ -256,6 +256,7 @@ class App final : public ApiBackend {
   std::shared_ptr<Session> session_;
   std::string camera_model_;
   std::string camera_serial_;
+  std::optional<CameraAbilities> camera_abilities_;
   OutcomeCounts lines_;
   std::uint64_t journaled_ = 0;
   std::uint64_t durable_bytes_ = 0;  // of the journal

@@ -367,6 +367,7 @@ StatusReport App::BuildStatus() const {
     }
     s.camera_model = camera_model_;
     s.camera_serial = camera_serial_;
+    s.camera_abilities = camera_abilities_;
     s.bracket_changes = bracket_changes_;
     s.metering = metering_report_;
     s.lines = lines_;

@@ -152,6 +152,9 @@ Status App::OnCameraOpened(const CameraInfo& info) {
     std::lock_guard lock(mutex_);
     camera_model_ = info.description.model;
     camera_serial_ = info.description.serial;
+    camera_abilities_ = {info.shortest.seconds(), info.longest.seconds(),
+                         info.exposure_latency_frames,
+                         static_cast<double>(info.min_trigger_interval.count()) * 1e-9, info.proof};
     bracket_changes_ = plan->changes();
   }
   ExposureTolerance tolerance;
@@ -271,8 +274,12 @@ void App::WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_
 
 void App::OnViewDone(const ViewDone& view) {
   const LogContext about({.position = Value(view.position)});
-  if (!view.already_complete) latency_.ViewDone(view.position, clock_.Now());
   if (!view.already_complete) {
+    latency_.ViewDone(view.position, clock_.Now());
+    latency_.Took(CaptureLatency::kViewPose, view.pose_s);
+    latency_.Took(CaptureLatency::kViewStereo, view.stereo_s);
+    latency_.Took(CaptureLatency::kViewMerge, view.merge_s);
+    latency_.Took(CaptureLatency::kViewWrite, view.write_s);
     spdlog::info(
         "view {}: done in {:.2f} s (pose {:.2f}, stereo {:.2f}, merge {:.2f}, write {:.2f})",
         Value(view.position), view.pose_s + view.stereo_s + view.merge_s + view.write_s,

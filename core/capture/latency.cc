@@ -1,6 +1,7 @@
 #include "core/capture/latency.h"
 
 #include <algorithm>
+#include <cmath>
 
 namespace omnihdr {
 
@@ -14,6 +15,14 @@ std::string_view ToString(CaptureLatency latency) {
       return "frame_to_durable";
     case CaptureLatency::kTriggerToView:
       return "trigger_to_view";
+    case CaptureLatency::kViewPose:
+      return "view_pose";
+    case CaptureLatency::kViewStereo:
+      return "view_stereo";
+    case CaptureLatency::kViewMerge:
+      return "view_merge";
+    case CaptureLatency::kViewWrite:
+      return "view_write";
   }
   return "?";
 }
@@ -69,6 +78,11 @@ void LatencyTracker::ViewDone(PositionId position, HostTime now) {
   if (found == positions_.end()) return;
   Of(CaptureLatency::kTriggerToView).Add(now - found->second);
   positions_.erase(found);
+}
+
+void LatencyTracker::Took(CaptureLatency part, double seconds) {
+  std::lock_guard lock(mutex_);
+  Of(part).Add(Nanoseconds(std::llround(seconds * 1e9)));
 }
 
 CaptureLatencies LatencyTracker::counts() const {

@@ -19,9 +19,14 @@ enum class CaptureLatency {
   kCommandToFrame,  // that command to the arrival of its frame
   kFrameToDurable,  // that arrival to the frame's line on disk
   kTriggerToView,   // the first trigger of a position to its finished view
+  // The parts of that view's work.
+  kViewPose,
+  kViewStereo,
+  kViewMerge,
+  kViewWrite,
 };
-inline constexpr std::size_t kCaptureLatencyCount = 4;
-std::string_view ToString(CaptureLatency latency);  // "edge_to_command", ...
+inline constexpr std::size_t kCaptureLatencyCount = 8;
+std::string_view ToString(CaptureLatency latency);  // "edge_to_command", ..., "view_write"
 
 // How often a duration was how long: counts up to each bound, in seconds, and beyond the last.
 struct LatencyCounts {
@@ -48,6 +53,8 @@ class LatencyTracker {
   // The line of a trigger is durable; `usable` = with pixels.
   void Durable(TriggerId trigger, PositionId position, bool usable, HostTime now);
   void ViewDone(PositionId position, HostTime now);
+  // A part of a view's work.
+  void Took(CaptureLatency part, double seconds);
 
   CaptureLatencies counts() const;
   // When the newest frame arrived.

@@ -310,7 +310,9 @@ class ApiServer::Impl {
     } else if (tcp && !HasToken(reader.request())) {
       ++unauthorized_;
       answer =
-          ToAnswer(ApiReply::Refused(401, "expected the header \"Authorization: Bearer TOKEN\""));
+          ToAnswer(ApiReply::Refused(401,
+                                     "expected the header \"Authorization: Bearer TOKEN\" with "
+                                     "the daemon's token (api.token_file)"));
     } else {
       ++requests_;
       if (reader.request().method == "GET" && reader.request().target == kEventsRoute) {

@@ -95,6 +95,14 @@ Json StatusToJson(const StatusReport& s) {
   }
   Json camera_counters = Json::object();
   for (const auto& [name, value] : s.camera_counters) camera_counters[name] = value;
+  Json exposure;
+  if (const auto& abilities = s.camera_abilities) {
+    exposure = {{"shortest_s", abilities->shortest_s},
+                {"longest_s", abilities->longest_s},
+                {"latency_frames", abilities->exposure_latency_frames},
+                {"min_trigger_interval_s", abilities->min_trigger_interval_s},
+                {"proof", ToString(abilities->proof)}};
+  }
   Json json = {
       {"version", s.version},
       {"uptime_s", s.uptime_s},
@@ -111,6 +119,7 @@ Json StatusToJson(const StatusReport& s) {
        {{"ready", s.camera_ready},
         {"model", Utf8(s.camera_model)},
         {"serial", Utf8(s.camera_serial)},
+        {"exposure", std::move(exposure)},
         {"counters", std::move(camera_counters)},
         {"rearmed", s.camera_rearmed},
         {"clock_jumps", s.capture.clock_jumps}}},
@@ -228,6 +237,13 @@ std::string StatusToMetrics(const StatusReport& s) {
                        LabelValue(s.state.reason), LabelValue(s.state.remedy)),
            1.0);
   m.One("omnihdr_camera_ready", "gauge", "1 when a camera is open.", s.camera_ready ? 1.0 : 0.0);
+  if (const auto& abilities = s.camera_abilities) {
+    m.One("omnihdr_camera_exposure_latency_frames", "gauge",
+          "Frames after which a new exposure is in force.", abilities->exposure_latency_frames);
+    m.One("omnihdr_camera_min_trigger_interval_seconds", "gauge",
+          "Least time between two triggers that the camera accepts.",
+          abilities->min_trigger_interval_s);
+  }
   m.Family("omnihdr_camera_events_total", "counter", "What the camera's driver counts, by name.");
   for (const auto& [name, value] : s.camera_counters) {
     m.Sample("omnihdr_camera_events_total", fmt::format("event=\"{}\"", name), AsDouble(value));
@@ -298,7 +314,7 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_buffers_free", "gauge", "Free frame buffers.", AsDouble(s.buffers_free));
   m.Family("omnihdr_latency_seconds", "histogram",
            "How long a stage took: edge_to_command, command_to_frame, frame_to_durable, "
-           "trigger_to_view.");
+           "trigger_to_view, and of each view view_pose, view_stereo, view_merge, view_write.");
   for (std::size_t i = 0; i < s.latencies.size(); ++i) {
     m.Histogram("omnihdr_latency_seconds",
                 fmt::format("stage=\"{}\"", ToString(static_cast<CaptureLatency>(i))),
@@ -397,6 +413,18 @@ std::string StatusForPeople(const Json& s) {
   const Json& camera = s.at("camera");
   line("camera", fmt::format("{}{}", camera.at("model").get<std::string>(),
                              camera.at("ready").get<bool>() ? "" : " (not ready)"));
+  if (const Json exposure = camera.value("exposure", Json()); exposure.is_object()) {
+    const int latency = exposure.value("latency_frames", 0);
+    const double interval = exposure.value("min_trigger_interval_s", 0.0);
+    line("exposures",
+         fmt::format("{:.6g} to {:.6g} s, in force {}{}; proof: {}",
+                     exposure.value("shortest_s", 0.0), exposure.value("longest_s", 0.0),
+                     latency == 0 ? "with the next frame" : fmt::format("{} frames later", latency),
+                     interval > 0.0
+                         ? fmt::format(", the next trigger after {:.3g} s at the soonest", interval)
+                         : "",
+                     exposure.value("proof", "")));
+  }
   line("positions",
        fmt::format("{} triggered by {}", s.at("positions_triggered").get<std::int64_t>(),
                    s.at("trigger_source").get<std::string>() +

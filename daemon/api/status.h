@@ -17,6 +17,15 @@
 
 namespace omnihdr {
 
+// What the camera has said of itself when it was opened (CameraInfo).
+struct CameraAbilities {
+  double shortest_s = 0.0;
+  double longest_s = 0.0;
+  int exposure_latency_frames = 0;      // after which a new exposure is in force
+  double min_trigger_interval_s = 0.0;  // between two triggers that it accepts
+  ExposureProof proof = ExposureProof::kNone;
+};
+
 // All that the daemon tells about itself, at one moment.
 struct StatusReport {
   std::string version;
@@ -32,6 +41,7 @@ struct StatusReport {
   bool camera_ready = false;
   std::string camera_model;
   std::string camera_serial;
+  std::optional<CameraAbilities> camera_abilities;  // nothing before one was opened
   std::vector<std::pair<std::string, std::uint64_t>> camera_counters;  // the driver's own, by name
   std::uint64_t camera_rearmed = 0;  // opened anew because triggers gave no frame; this run
 

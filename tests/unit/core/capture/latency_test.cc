@@ -50,6 +50,18 @@ TEST(LatencyTracker, AFrameThatIsThereBeforeItsCommandReturnsCounts) {
   EXPECT_NEAR(Of(counts, CaptureLatency::kFrameToDurable).sum_s, 0.010, 1e-9);
 }
 
+TEST(LatencyTracker, ThePartsOfAViewsWorkAreCountedEachByItself) {
+  LatencyTracker tracker;
+  tracker.Took(CaptureLatency::kViewStereo, 0.3);
+  tracker.Took(CaptureLatency::kViewStereo, 0.5);
+  tracker.Took(CaptureLatency::kViewWrite, 0.02);
+  const CaptureLatencies counts = tracker.counts();
+  EXPECT_EQ(Of(counts, CaptureLatency::kViewStereo).total, 2U);
+  EXPECT_NEAR(Of(counts, CaptureLatency::kViewStereo).sum_s, 0.8, 1e-9);
+  EXPECT_EQ(Of(counts, CaptureLatency::kViewWrite).total, 1U);
+  EXPECT_EQ(Of(counts, CaptureLatency::kViewPose).total, 0U);
+}
+
 TEST(LatencyTracker, ALostFrameCountsAsCommandedOnly) {
   LatencyTracker tracker;
   tracker.Commanded(TriggerId{0}, At(seconds(1)), At(seconds(1)));

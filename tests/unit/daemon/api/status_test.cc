@@ -80,6 +80,23 @@ TEST(Status, JsonHoldsTheNumbersAScriptNeeds) {
   EXPECT_EQ(json["odometer_m"], 3.25);
 }
 
+TEST(Status, WhatTheCameraHasSaidOfItsExposuresIsTold) {
+  StatusReport s = Busy();
+  EXPECT_TRUE(StatusToJson(s)["camera"]["exposure"].is_null());
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), Not(HasSubstr("exposures")));
+  EXPECT_THAT(StatusToMetrics(s), Not(HasSubstr("omnihdr_camera_exposure_latency_frames")));
+  s.camera_abilities = {1e-5, 4.0, 2, 0.25, ExposureProof::kEmbedded};
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["camera"]["exposure"]["latency_frames"], 2);
+  EXPECT_EQ(json["camera"]["exposure"]["proof"], "embedded");
+  EXPECT_THAT(
+      StatusForPeople(json),
+      HasSubstr("exposures   1e-05 to 4 s, in force 2 frames later, the next trigger after 0.25 s "
+                "at the soonest; proof: embedded\n"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_camera_exposure_latency_frames 2\n"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_camera_min_trigger_interval_seconds 0.25\n"));
+}
+
 TEST(Status, WhatTheCamerasDriverCountsIsToldByName) {
   StatusReport s = Busy();
   s.camera_counters = {{"stale_frames", 3}, {"sequence_gaps", 17}};
@@ -164,6 +181,7 @@ TEST(Status, EveryMetricHasHelpAndTypeOnceAndStandsInTheList) {
   s.storage.minutes_left = 1.0;
   s.storage.free_bytes = 1;
   s.storage.total_bytes = 1;
+  s.camera_abilities.emplace();
   s.trigger_wired = true;
   s.utc.error_s = 0.001;
   s.last_frame_age_s = 1.0;

@@ -15,7 +15,8 @@ TEST_F(AppLatency, EveryStageOfADriveIsTimed) {
   ASSERT_TRUE(
       StatusHolds([](const auto& s) { return s["latency"]["trigger_to_view"]["count"] == 3; }));
   const nlohmann::json status = Client().Get("/v1/status").value();
-  for (const char* stage : {"edge_to_command", "command_to_frame", "frame_to_durable"}) {
+  for (const char* stage : {"edge_to_command", "command_to_frame", "frame_to_durable", "view_pose",
+                            "view_stereo", "view_merge", "view_write"}) {
     EXPECT_EQ(status["latency"][stage]["count"], 3) << stage;
     EXPECT_GE(status["latency"][stage]["mean_s"].get<double>(), 0.0) << stage;
     EXPECT_LT(status["latency"][stage]["mean_s"].get<double>(), 60.0) << stage;
