@@ -1,9 +1,15 @@
 #include "daemon/api/client.h"
 
+#include <fcntl.h>
+#include <grp.h>
 #include <httplib.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
+#include <cerrno>
 #include <string_view>
+#include <vector>
 
 namespace omnihdr {
 namespace {
@@ -27,7 +33,31 @@ httplib::Client Connect(const ApiEndpoint& endpoint, Nanoseconds timeout) {
   return client;
 }
 
+// The group whose members may open the socket, when this user may not; empty when it may, or nobody
+// can tell.
+std::string GroupThatMay(const std::filesystem::path& socket) {
+  if (::faccessat(AT_FDCWD, socket.c_str(), W_OK, AT_EACCESS) == 0 || errno != EACCES) return {};
+  struct stat info {};
+  // Of what keeps this user out: the socket, or its folder.
+  if (::stat(socket.c_str(), &info) != 0 && ::stat(socket.parent_path().c_str(), &info) != 0) {
+    return {};
+  }
+  std::vector<char> room(std::size_t{1} << 16);
+  group found{};
+  group* result = nullptr;
+  ::getgrgid_r(info.st_gid, &found, room.data(), room.size(), &result);
+  return result == nullptr ? std::to_string(info.st_gid) : found.gr_name;
+}
+
 tl::unexpected<Error> NoAnswer(const ApiEndpoint& endpoint, httplib::Error error) {
+  if (const std::string group = endpoint.address.empty() ? GroupThatMay(endpoint.socket) : "";
+      !group.empty()) {
+    return Fail(
+        ErrorKind::kPermission,
+        "{}: this user may not connect: expected one of group {} (sudo usermod -aG {} USER, "
+        "then log in again)",
+        endpoint.name(), group, group);
+  }
   if (error == httplib::Error::Connection || error == httplib::Error::ConnectionTimeout) {
     return Fail(ErrorKind::kUnavailable, "{}: no omnihdrd answers here: is it running?",
                 endpoint.name());

@@ -28,8 +28,9 @@ class ApiClient {
   explicit ApiClient(ApiEndpoint endpoint, Nanoseconds timeout = std::chrono::seconds(10))
       : endpoint_(std::move(endpoint)), timeout_(timeout) {}
 
-  // The JSON body of the answer. kUnavailable when nobody listens; when the daemon refuses, its own
-  // words, as kTemporary (503), kConfig (422), kUsage (other 4xx) or kSoftware.
+  // The JSON body of the answer. kUnavailable when nobody listens, kPermission when this user may
+  // not open the socket; when the daemon refuses, its own words, as kTemporary (503), kConfig
+  // (422), kUsage (other 4xx) or kSoftware.
   Result<nlohmann::json> Get(const std::string& route);
   Result<nlohmann::json> Post(const std::string& route,
                               const nlohmann::json& body = nlohmann::json::object());

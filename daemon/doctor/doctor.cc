@@ -102,6 +102,13 @@ void CheckDaemon(Examination& e) {
                           DescribeNode(e.machine, *node), CallingAccount().name),
               fmt::format("sudo usermod -aG {} {}   # then log in again",
                           e.machine.GroupName(node->gid), CallingAccount().name));
+  } else if (const Result<FileNode> folder = e.machine.node(socket.parent_path());
+             !node && node.error().kind == ErrorKind::kPermission && folder) {
+    e.Problem("daemon",
+              fmt::format("{} is {}: {} may not look into it", socket.parent_path().string(),
+                          DescribeNode(e.machine, *folder), CallingAccount().name),
+              fmt::format("sudo usermod -aG {} {}   # then log in again",
+                          e.machine.GroupName(folder->gid), CallingAccount().name));
   } else if (!running.empty()) {
     e.Problem("daemon",
               fmt::format("an omnihdrd (process {}) runs and does not answer on {}: it has another "

@@ -275,6 +275,36 @@ class Service(unittest.TestCase):
         self.assertTrue(eventually(lambda: status().get("camera", {}).get("ready") is False), log())
         self.assertEqual(properties("ActiveState")["ActiveState"], "active")
 
+    def test_tcp_is_served_to_whoever_has_the_token_of_the_credential(self):
+        systemctl("stop", UNIT)
+        self.configure(SMALL + '[api]\ntcp = "127.0.0.1:8787"\n')
+        # Without a token there is no TCP, and no start.
+        self.assertNotEqual(systemctl("start", UNIT, check=False).returncode, 0)
+        self.assertIn("api-token", log())
+        systemctl("stop", UNIT)
+        systemctl("reset-failed", UNIT)
+        token = pathlib.Path("/etc/omnihdr/token")
+        token.write_text("0123456789abcdef0123456789abcdef\n", encoding="utf-8")
+        token.chmod(0o600)  # root's alone: systemd hands it to the service
+        drop_in = pathlib.Path("/etc/systemd/system/omnihdrd.service.d/token.conf")
+        drop_in.write_text(f"[Service]\nLoadCredential=api-token:{token}\n", encoding="utf-8")
+        systemctl("daemon-reload")
+        systemctl("start", UNIT)
+
+        def asked(headers):
+            connection = http.client.HTTPConnection("127.0.0.1", 8787, timeout=30)
+            try:
+                connection.request("GET", "/v1/status", headers=headers)
+                return connection.getresponse().status
+            finally:
+                connection.close()
+
+        self.assertEqual([asked({}), asked({"Authorization": "Bearer 0123456789abcdef0123456789abcdeX"}),
+                          asked({"Authorization": "Bearer 0123456789abcdef0123456789abcdef"})], [401, 401, 200])
+        listening = pathlib.Path("/proc/net/tcp").read_text(encoding="utf-8").splitlines()[1:]
+        self.assertEqual([line.split()[1] for line in listening if line.split()[3] == "0A" and
+                          line.split()[1].endswith(":2253")], ["0100007F:2253"])  # loopback alone, in the kernel's hex
+
 
 def freeze(thread):
     """Stops one thread alone, as a call that does not return would; the process that holds it."""

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -227,6 +228,33 @@ TEST_F(Access, TheEventStreamComesOverTcpToo) {
   }));
   ASSERT_EQ(lines.size(), 2U);
   EXPECT_THAT(lines[1], HasSubstr("\"frame\":1"));
+}
+
+TEST_F(Access, WhoMayNotOpenTheSocketIsToldWhichGroupMay) {
+  options_.tcp.address.clear();
+  if (::geteuid() == 0) options_.socket_group = "daemon";
+  Listen();
+  std::vector<std::string> told;
+  // The credentials of this thread alone: root would be let in.
+  std::thread stranger([&] {
+    if (::geteuid() == 0) {
+      ASSERT_EQ(::syscall(SYS_setgroups, 0, nullptr), 0);
+      ASSERT_EQ(::syscall(SYS_setresgid, 65534, 65534, 65534), 0);
+      ASSERT_EQ(::syscall(SYS_setresuid, 65534, 65534, 65534), 0);
+    } else {
+      ASSERT_EQ(::chmod(options_.socket.c_str(), 0), 0);
+    }
+    const auto answer = ApiClient(options_.socket).Get("/v1/status");
+    if (answer) return;
+    EXPECT_EQ(answer.error().kind, ErrorKind::kPermission);
+    told.push_back(answer.error().message);
+  });
+  stranger.join();
+  ASSERT_EQ(told.size(), 1U) << "it was let in";
+  EXPECT_THAT(told[0], HasSubstr("this user may not connect: expected one of group "));
+  // Not theirs to open, not absent.
+  EXPECT_EQ(ApiClient(directory_ / "none.sock").Get("/v1/status").error().kind,
+            ErrorKind::kUnavailable);
 }
 
 TEST_F(Access, TheSocketBelongsToTheGroupThatIsConfigured) {

@@ -529,6 +529,17 @@ TEST_F(Doctor, AnotherDaemonIsFoundByItsProcess) {
               Problem("daemon", "an omnihdrd (process 4711) runs", "ps -o args= -p 4711"));
 }
 
+TEST_F(Doctor, WhoMayNotLookIntoTheSocketsFolderIsToldItsGroup) {
+  Put("/etc/group", "omnihdr:x:4242:\n");
+  const auto usual = machine_.node;
+  machine_.node = [this, usual](const fs::path& place) -> Result<doctor::FileNode> {
+    if (place == path() / "api.sock") return Fail(ErrorKind::kPermission, "not allowed");
+    if (place == path()) return doctor::FileNode{4242, 4242, S_IFDIR | 0750};
+    return usual(place);
+  };
+  EXPECT_THAT(Examine(), Problem("daemon", "may not look into it", "sudo usermod -aG omnihdr "));
+}
+
 TEST_F(Doctor, ASocketThatDoesNotAnswerIsAProblem) {
   const fs::path socket = path() / "api.sock";
   Fd listener(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
