@@ -52,11 +52,11 @@ std::string GroupThatMay(const std::filesystem::path& socket) {
 tl::unexpected<Error> NoAnswer(const ApiEndpoint& endpoint, httplib::Error error) {
   if (const std::string group = endpoint.address.empty() ? GroupThatMay(endpoint.socket) : "";
       !group.empty()) {
-    return Fail(
-        ErrorKind::kPermission,
-        "{}: this user may not connect: expected one of group {} (sudo usermod -aG {} USER, "
-        "then log in again)",
-        endpoint.name(), group, group);
+    return Fail(ErrorKind::kPermission, "{}: this user may not connect: expected one of group {}{}",
+                endpoint.name(), group,
+                group == "root"
+                    ? ""
+                    : fmt::format(" (sudo usermod -aG {} USER, then log in again)", group));
   }
   if (error == httplib::Error::Connection || error == httplib::Error::ConnectionTimeout) {
     return Fail(ErrorKind::kUnavailable, "{}: no omnihdrd answers here: is it running?",
