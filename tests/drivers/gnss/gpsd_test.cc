@@ -92,6 +92,19 @@ TEST(GpsdReports, ValuesOfOneReportDoNotStayForTheNext) {
   EXPECT_EQ(next->fix->alt_m, 0.0);
 }
 
+// Lines of a gpsd to come, which stop libgps 3.22 for ever.
+TEST(GpsdReports, MembersThatNobodyKnowsAreSkippedOver) {
+  gnss::ReportParser parser;
+  const HostTime now = HostTime::FromNanoseconds(0);
+  EXPECT_FALSE(parser.Parse(
+      R"({"class":"DEVICES","devices":[{"class":"DEVICE","path":"a","extra":{"b":1}}]})", now));
+  EXPECT_EQ(parser.errors(), 0U);
+  const auto report =
+      parser.Parse(Tpv(R"("mode":2,"lat":1.5,"lon":2.5,"x":[{"class":"DEVICE","path":"a"}])"), now);
+  ASSERT_TRUE(report && report->fix);
+  EXPECT_EQ(report->fix->lat_deg, 1.5);
+}
+
 TEST(GpsdReports, PulsesPerSecondMakeTheTimesSourceBetterForThreeSeconds) {
   gnss::ReportParser parser;
   const std::string tpv =
