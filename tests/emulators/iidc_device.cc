@@ -419,6 +419,7 @@ void IidcDevice::Trigger(std::uint32_t source) {
 }
 
 double IidcDevice::RadianceAt(int x, int y) const {
+  if (options_.scene) return options_.scene(x, y);
   const int sensor = y / std::max(1, options_.rows_per_sensor);
   const int row = y % std::max(1, options_.rows_per_sensor);
   const int colour = options_.bayer == BayerOrder::kNone ? 1 : BayerChannel(options_.bayer, x, row);

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -38,6 +39,9 @@ struct IidcDeviceOptions {
   // Code values by which pixels differ from the smooth scene, the same in every picture: what makes
   // a file of them as long as a real one's.
   int grain = 0;
+  // What a pixel of the whole sensor shows, as a code value at one second; empty = a smooth scene
+  // of the device's own.
+  std::function<double(int x, int y)> scene;
 };
 
 // A device model of an IIDC camera, free of any transport: registers, configuration ROM, Format7,
