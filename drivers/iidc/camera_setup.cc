@@ -170,8 +170,12 @@ Status IidcCameraOptions::Validate() const {
     return Fail(ErrorKind::kConfig, "trigger_mode: {}: expected 0, 14 or 15", trigger_mode);
   }
   OMNIHDR_TRY(CheckOption("trigger_input", trigger_input, 0, 3));
-  if (wired && trigger_mode == 15) {
+  if ((wired || release) && trigger_mode == 15) {
     return Fail(ErrorKind::kConfig, "trigger_mode: 15: expected 0 or 14 for a wired camera");
+  }
+  if (wired && release) {
+    return Fail(ErrorKind::kConfig,
+                "wired: expected either a wire that is observed or one that is pulsed");
   }
   OMNIHDR_TRY(CheckOption("settle_frames", settle_frames, -1, 8));
   OMNIHDR_TRY(CheckOption("white_balance_blue", white_balance_blue, -1, 4095));
@@ -255,7 +259,14 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
   } else {
     OMNIHDR_ASSIGN(camera.picture.embedded, EnableEmbeddedInfo(registers));
   }
-  OMNIHDR_TRY(SetUpSoftwareTrigger(registers, options.trigger_mode));
+  if (options.release) {
+    OMNIHDR_TRY(SetUpWiredTrigger(registers, options.trigger_mode, options.trigger_input,
+                                  options.trigger_active_low));
+    OMNIHDR_ASSIGN(const TriggerInquiry inquiry, InquireTrigger(registers));
+    camera.tells_ready = inquiry.software;
+  } else {
+    OMNIHDR_TRY(SetUpSoftwareTrigger(registers, options.trigger_mode));
+  }
 
   CameraInfo& info = camera.info;
   info.description.model = !camera.rom.model.empty() ? camera.rom.model
@@ -273,6 +284,7 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
                    ? ExposureProof::kEmbedded
                    : ExposureProof::kReadback;
   info.wired = options.wired;
+  if (options.release) info.min_trigger_interval = options.release->spacing();
   constexpr std::uint32_t kNeeded = kEmbeddedShutter | kEmbeddedCycleTime;
   if (options.wired && !compressed && (camera.picture.embedded & kNeeded) != kNeeded) {
     return Fail(

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/ports/camera.h"
+#include "core/ports/camera_release.h"
 #include "core/sphere/rig.h"
 #include "drivers/iidc/config_rom.h"
 #include "drivers/iidc/features.h"
@@ -39,6 +40,9 @@ struct IidcCameraOptions {
   int trigger_mode = 0;  // 0, 14 or 15
   // The camera exposes by itself at pulses on its input (trigger mode 0 or 14): see IidcCamera.
   bool wired = false;
+  // The wire that this side pulses to make the camera expose, at the same input and in the same
+  // modes; null = it is triggered by software. Not with `wired`.
+  std::shared_ptr<CameraRelease> release;
   int trigger_input = 0;  // 0 to 3
   bool trigger_active_low = false;
   // Pictures thrown away after every change of exposure; -1 = as the model table says.
@@ -65,6 +69,8 @@ struct ReadyCamera {
   Format7Setup format;
   PictureLayout picture;
   Rig rig;
+  // Whether SOFTWARE_TRIGGER tells when the next trigger is taken, of whatever source.
+  bool tells_ready = true;
   CameraInfo info;
 };
 

@@ -24,6 +24,8 @@ constexpr Nanoseconds kIdleLook = milliseconds(50);
 constexpr Nanoseconds kSlice = milliseconds(50);
 // The exposure begins no later than this after the trigger's write has been answered.
 constexpr Nanoseconds kLongestStart = milliseconds(2);
+// Beyond the spacing of its pulses, which a wire waits for.
+constexpr Nanoseconds kReleaseMargin = milliseconds(100);
 constexpr std::size_t kMostEdges = 64;
 // Chunks thrown away at once while nobody waits for a frame.
 constexpr int kMaxStrayChunks = 1000;
@@ -176,11 +178,13 @@ Result<std::optional<CameraFrame>> IidcCamera::TakePicture(const ExposureRequest
   if (settle < 0) settle = camera_->model ? camera_->model->settle_frames : 0;
   for (int i = 0; !in_force_->settled && i < settle && !stop.stop_requested(); ++i) {
     OMNIHDR_ASSIGN(const Sent sent, SendTrigger());
+    if (!sent.unreleased.empty()) return NotReleased(request, sent);
     OMNIHDR_ASSIGN(const std::optional<RawFrame> thrown_away, WaitForFrame(sent, stop));
     if (thrown_away) ++discarded_;
   }
   in_force_->settled = true;
   OMNIHDR_ASSIGN(const Sent sent, SendTrigger());
+  if (!sent.unreleased.empty()) return NotReleased(request, sent);
   OMNIHDR_ASSIGN(std::optional<RawFrame> raw, WaitForFrame(sent, stop));
   if (!raw) return std::optional<CameraFrame>();
   CameraFrame frame = MakeFrame(request, sent, std::move(*raw));
@@ -208,9 +212,10 @@ Status IidcCamera::SetExposure(const Exposure& exposure) {
 }
 
 Result<IidcCamera::Sent> IidcCamera::SendTrigger() {
-  OMNIHDR_TRY(WaitForTriggerReady(*camera_->registers));
+  if (camera_->tells_ready) OMNIHDR_TRY(WaitForTriggerReady(*camera_->registers));
   OMNIHDR_TRY(DropStrays());
   assembler_->Reset();
+  if (options_.release) return PulseWire();
   Sent sent;
   sent.before = clock_.Now();
   Status status = SendSoftwareTrigger(*camera_->registers);
@@ -221,6 +226,25 @@ Result<IidcCamera::Sent> IidcCamera::SendTrigger() {
     return Forward(std::move(status).error());
   }
   return sent;
+}
+
+IidcCamera::Sent IidcCamera::PulseWire() {
+  Sent sent;
+  const Result<CameraRelease::Moment> released =
+      options_.release->Release(options_.release->spacing() + kReleaseMargin);
+  if (released) {
+    sent.before = released->before;
+    sent.after = released->after;
+    sent.confirmed = true;
+  } else {
+    sent.unreleased = released.error().message;
+  }
+  return sent;
+}
+
+std::optional<CameraFrame> IidcCamera::NotReleased(const ExposureRequest& request,
+                                                   const Sent& sent) {
+  return Handover::Missed(request, sent.unreleased, counter_);
 }
 
 Result<std::optional<RawFrame>> IidcCamera::WaitForFrame(const Sent& sent, std::stop_token stop) {

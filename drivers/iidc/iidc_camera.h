@@ -29,6 +29,10 @@ namespace omnihdr::iidc {
 // next trigger. Registers that fail at a trigger give a kMissedTrigger frame that says so; three
 // such in a row, or a camera that has gone, end in kUnavailable.
 //
+// With IidcCameraOptions::release a pulse on that wire takes the place of the software trigger, and
+// all else is the same. A pulse that could not be given is a kMissedTrigger frame, too, but the
+// wire's failure, not the camera's.
+//
 // Wired (IidcCameraOptions::wired), it exposes at every pulse on its input with what Prepare has
 // set last. Three pictures by software at each start, thrown away, fit its clock to the host's;
 // after that the edges that Trigger tells of keep the fit. A clock that has jumped is fitted in the
@@ -69,6 +73,7 @@ class IidcCamera final : public Camera {
     HostTime before;
     HostTime after;
     bool confirmed = false;
+    std::string unreleased;  // why the wire gave no pulse; empty = it did
   };
 
   Status RunShots(std::stop_token stop, Stage& stage);
@@ -84,6 +89,8 @@ class IidcCamera final : public Camera {
                                                  std::stop_token stop);
   Status SetExposure(const Exposure& exposure);
   Result<Sent> SendTrigger();
+  Sent PulseWire();
+  std::optional<CameraFrame> NotReleased(const ExposureRequest& request, const Sent& sent);
   Result<std::optional<RawFrame>> WaitForFrame(const Sent& sent, std::stop_token stop);
   CameraFrame MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw);
   std::uint64_t Count(std::optional<std::uint32_t> embedded);

@@ -28,6 +28,12 @@ TriggerInquiry ParseTriggerInquiry(std::uint32_t quadlet) {
   return inquiry;
 }
 
+Result<TriggerInquiry> InquireTrigger(const Registers& registers) {
+  OMNIHDR_ASSIGN(const std::uint32_t quadlet,
+                 registers.Read(kTriggerMode - kFeatureInquiryBelow, "TRIGGER_INQ"));
+  return ParseTriggerInquiry(quadlet);
+}
+
 Status SetUpSoftwareTrigger(const Registers& registers, int mode, int pictures) {
   if ((mode != 0 && mode != 14 && mode != 15) || pictures < 1 || pictures > 255) {
     return Fail(ErrorKind::kConfig,

@@ -15,6 +15,7 @@ struct TriggerInquiry {
   std::uint32_t sources = 0;  // bit s: source s (0 to 3)
 };
 TriggerInquiry ParseTriggerInquiry(std::uint32_t quadlet);
+Result<TriggerInquiry> InquireTrigger(const Registers& registers);
 
 inline constexpr std::uint32_t kSoftwareSource = 7;
 
@@ -28,8 +29,9 @@ Status SetUpWiredTrigger(const Registers& registers, int mode, int source, bool 
 // Free running.
 Status SwitchTriggerOff(const Registers& registers);
 
-// Waits until the camera takes a trigger (deadline: the settling time) and triggers it. Never sent
-// twice: a trigger whose answer is lost may have worked.
+// Waits until the camera takes a trigger, of whatever source (deadline: the settling time); it
+// tells so when it has the software trigger's register. Triggers it. Never sent twice: a trigger
+// whose answer is lost may have worked.
 Status WaitForTriggerReady(const Registers& registers);
 Status SendSoftwareTrigger(const Registers& registers);
 

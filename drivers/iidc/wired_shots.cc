@@ -144,7 +144,8 @@ void IidcCamera::DeliverWired(RawFrame raw) {
   const HostTime arrived = raw.arrived;
   std::optional<std::int64_t> cycle_ns;
   if (facts && facts->info.cycle_time) cycle_ns = CycleTimeNanoseconds(*facts->info.cycle_time);
-  CameraFrame frame = MakeFrame(ExposureRequest{}, Sent{arrived, arrived, false}, std::move(raw));
+  CameraFrame frame =
+      MakeFrame(ExposureRequest{}, Sent{arrived, arrived, false, {}}, std::move(raw));
   const double seconds = frame.measured_exposure.value_or(in_force_->measured).time.seconds();
   const Nanoseconds exposure(std::llround(seconds * 1e9));
   WiredStart start{arrived - arrival_delay_ - exposure, kErrorByArrival};

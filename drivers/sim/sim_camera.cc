@@ -34,6 +34,10 @@ Status CheckRange(const char* name, double value, double low, double high) {
 
 Status SimCameraOptions::Validate() const {
   OMNIHDR_TRY(simulation.Validate());
+  if (wired && release) {
+    return Fail(ErrorKind::kConfig,
+                "wired: expected either a wire that is observed or one that is pulsed");
+  }
   OMNIHDR_TRY(CheckRange("interval_m", interval_m, 0.0, 100.0));
   OMNIHDR_TRY(CheckRange("render_ahead", render_ahead, 0, 8));
   OMNIHDR_TRY(CheckRange("readout_s", readout_s, 0.0, 10.0));
@@ -105,6 +109,9 @@ Result<CameraInfo> SimCamera::Open() {
   info.longest = ExposureTime::Seconds(kLongest);
   // What the renderer keeps up with, with a quarter in reserve: other work shares the processor.
   info.min_trigger_interval = std::max(FromSeconds(options_.readout_s), render_time_ * 5 / 4);
+  if (options_.release) {
+    info.min_trigger_interval = std::max(info.min_trigger_interval, options_.release->spacing());
+  }
   info.proof = ExposureProof::kEmbedded;
   info.wired = options_.wired;
   info.extra_json = FormatSimulation(simulation);
@@ -193,6 +200,25 @@ Status SimCamera::Trigger(const ExposureRequest& request) {
   if (!running_) return Fail(ErrorKind::kUnavailable, "simulated camera: trigger: not started");
   const double odometer_m = request.odometer_m.value_or(
       static_cast<double>(Value(request.trigger)) * options_.interval_m);
+  if (options_.release) {
+    OMNIHDR_TRY(CheckFree(clock_.Now()));
+    const Result<CameraRelease::Moment> released = options_.release->Release(Nanoseconds(0));
+    if (released) return Begin(request, released->after, odometer_m);
+    if (released.error().kind != ErrorKind::kUnavailable) {
+      return Fail(released.error().kind, "simulated camera: {}", released.error().message);
+    }
+    // A wire that is not there is no reason to look for the camera anew.
+    Pending missed;
+    missed.frame.trigger = request.trigger;
+    missed.frame.status = FrameStatus::kMissedTrigger;
+    missed.frame.detail = released.error().message;
+    missed.frame.camera_counter = counter_;
+    missed.frame.mid_exposure = request.trigger_time;
+    missed.ready = clock_.Now();
+    frames_.push_back(std::move(missed));
+    changed_.notify_all();
+    return {};
+  }
   if (!options_.wired) return Begin(request, clock_.Now(), odometer_m);
   ExposureRequest pulse = request;
   pulse.exposure = prepared_.value_or(request.exposure);
@@ -216,16 +242,21 @@ void SimCamera::Pulse() {
   [[maybe_unused]] const Status begun = Begin(pulse, clock_.Now(), std::max(0.0, last_odometer_m_));
 }
 
-Status SimCamera::Begin(const ExposureRequest& request, HostTime start, double odometer_m) {
-  const FaultOptions& faults = options_.faults;
-  if (start < busy_until_) {
+Status SimCamera::CheckFree(HostTime at) const {
+  if (at < busy_until_) {
     return Fail(ErrorKind::kTemporary, "simulated camera: busy with the picture before for {} ms",
-                (busy_until_ - start).count() / 1'000'000 + 1);
+                (busy_until_ - at).count() / 1'000'000 + 1);
   }
   if (shots_.size() + static_cast<std::size_t>(rendering_) + frames_.size() >= kMaxOnTheirWay) {
     return Fail(ErrorKind::kTemporary, "simulated camera: busy: {} pictures are on their way",
                 kMaxOnTheirWay);
   }
+  return {};
+}
+
+Status SimCamera::Begin(const ExposureRequest& request, HostTime start, double odometer_m) {
+  const FaultOptions& faults = options_.faults;
+  OMNIHDR_TRY(CheckFree(start));
   if (Chance(faults.vanish_probability, faults.vanish, request.trigger, 4)) {
     GoAway(fmt::format("vanished at trigger {}", Value(request.trigger)),
            FromSeconds(faults.away_s));

@@ -12,6 +12,7 @@
 #include "core/base/clock.h"
 #include "core/base/stage.h"
 #include "core/ports/camera.h"
+#include "core/ports/camera_release.h"
 #include "drivers/sim/rig_optics.h"
 #include "drivers/sim/simulation.h"
 #include "drivers/sim/world.h"
@@ -44,6 +45,8 @@ struct SimCameraOptions {
   FaultOptions faults;
   // It hangs on the trigger's wire: see SimCamera.
   bool wired = false;
+  // A wire that is pulsed to make it expose; null = there is none. Not with `wired`.
+  std::shared_ptr<CameraRelease> release;
   Status Validate() const;  // kConfig error naming the option and its range
 };
 
@@ -55,6 +58,9 @@ struct SimCameraOptions {
 //
 // Wired, it takes what Trigger tells it for a pulse on its wire, and exposes with what Prepare has
 // set last; a pulse while it is busy is not seen by it. Pulse gives one that nobody tells of.
+//
+// With SimCameraOptions::release its exposure begins with the pulse that Trigger gives (kTemporary
+// while the one before is too near); a wire that is not there makes a kMissedTrigger frame.
 class SimCamera final : public Camera {
  public:
   // `world` may be shared between cameras; null = made by the first Open. Options must be valid
@@ -97,7 +103,9 @@ class SimCamera final : public Camera {
     std::shared_ptr<const Image<float>> radiance;
   };
 
-  Status Begin(const ExposureRequest& request, HostTime start, double odometer_m);  // with mutex_
+  // All with mutex_.
+  Status CheckFree(HostTime at) const;
+  Status Begin(const ExposureRequest& request, HostTime start, double odometer_m);
   Status RenderLoop(std::stop_token stop, Stage& stage);
   std::shared_ptr<const Image<float>> RenderAt(double odometer_m) const;
   std::shared_ptr<const Image<float>> FindCached(double odometer_m) const;     // with mutex_

@@ -18,6 +18,7 @@
 #include "tests/compliance/camera_suite.h"
 #include "tests/emulators/iidc_firewire.h"
 #include "tests/emulators/iidc_link.h"
+#include "tests/emulators/pulsed_wire.h"
 #include "tests/emulators/umockdev_usb.h"
 #include "tests/emulators/v4l2_camera_model.h"
 #include "tests/support/temporary_directory.h"
@@ -33,7 +34,7 @@ std::shared_ptr<const sim::World> SharedWorld() {
   return world;
 }
 
-Rig MakeSimRig(Layout layout) {
+Rig MakeSimRig(Layout layout, bool pulsed = false) {
   sim::SimCameraOptions options;
   options.simulation.layout = layout;
   options.simulation.sensor_width = 64;
@@ -41,6 +42,7 @@ Rig MakeSimRig(Layout layout) {
   options.simulation.width = kWidth;
   options.simulation.samples = 1;
   options.readout_s = 0.002;
+  if (pulsed) options.release = std::make_shared<emulators::PulsedWire>([] {});
   auto camera = std::make_unique<sim::SimCamera>(options, SharedWorld());
   Rig rig;
   sim::SimCamera* raw = camera.get();
@@ -133,12 +135,17 @@ struct EmulatedCamera {
   emulators::IidcFirewire firewire{device};
 };
 
-Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureFormat::kRaw) {
+Rig MakeIidcRig(Carrier carrier, iidc::PictureFormat format = iidc::PictureFormat::kRaw,
+                bool pulsed = false) {
   auto emulated = std::make_shared<EmulatedCamera>(carrier);
   iidc::IidcCameraOptions options;
   options.rig_file = emulated->rig();
   options.format = format;
   if (format == iidc::PictureFormat::kJpeg) options.mode = 7;
+  if (pulsed) {
+    options.release =
+        std::make_shared<emulators::PulsedWire>([device = emulated->device] { device->Pulse(); });
+  }
   Rig rig;
   rig.surroundings = emulated;
   if (carrier == Carrier::kUsb) {
@@ -243,12 +250,15 @@ std::vector<RigFactory> EveryRig() {
   return {
       {"sim", [] { return MakeSimRig(Layout::kPanorama); }},
       {"sim_rig", [] { return MakeSimRig(Layout::kRig); }},
+      {"sim_pulsed", [] { return MakeSimRig(Layout::kPanorama, true); }},
       {"replay", [] { return MakeReplayRig(Layout::kPanorama); }},
       {"replay_rig", [] { return MakeReplayRig(Layout::kRig); }},
       {"iidc", [] { return MakeIidcRig(Carrier::kUsb); }},
       {"iidc_in_process", [] { return MakeIidcRig(Carrier::kInProcess); }},
       {"iidc_firewire", [] { return MakeIidcRig(Carrier::kFirewire); }},
       {"iidc_jpeg", [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kJpeg); }},
+      {"iidc_pulsed",
+       [] { return MakeIidcRig(Carrier::kInProcess, iidc::PictureFormat::kRaw, true); }},
       {"v4l2", [] { return MakeV4l2Rig(false); }},
       {"v4l2_raw_sensor", [] { return MakeV4l2Rig(true); }},
       {"v4l2_head", [] { return MakeV4l2Head(); }}};

@@ -9,6 +9,7 @@
 #include <thread>
 
 #include "drivers/sim/sensor.h"
+#include "tests/emulators/pulsed_wire.h"
 
 namespace omnihdr::sim::sim_camera_test {
 namespace {
@@ -51,6 +52,29 @@ Result<CameraFrame> Take(SimCamera& camera, const ExposureRequest& request,
 bool SamePixels(const CameraFrame& a, const Image<std::uint8_t>& b) {
   const auto& image = std::get<0>(a.pixels);
   return image.size() == b.size() && std::memcmp(image.data(), b.data(), b.size()) == 0;
+}
+
+TEST(SimCamera, ReleasedByAWireItExposesAtThePulseAndNotWithoutOne) {
+  SimCameraOptions options = SmallOptions();
+  const auto wire = std::make_shared<emulators::PulsedWire>([] {}, milliseconds(30));
+  options.release = wire;
+  SimCamera camera(options, SharedWorld());
+  const auto info = camera.Open();
+  ASSERT_TRUE(info) << info.error().message;
+  EXPECT_GE(info->min_trigger_interval, milliseconds(30));
+  ASSERT_TRUE(camera.Start());
+  const Result<CameraFrame> frame = Take(camera, Request(0, 0.001));
+  ASSERT_TRUE(frame) << frame.error().message;
+  EXPECT_EQ(frame->status, FrameStatus::kOk);
+  EXPECT_EQ(wire->pulses(), 1);
+  wire->Cut(true);
+  const Result<CameraFrame> missed = Take(camera, Request(1, 0.001));
+  ASSERT_TRUE(missed) << missed.error().message;
+  EXPECT_EQ(missed->status, FrameStatus::kMissedTrigger);
+  EXPECT_EQ(missed->detail, "camera trigger: the wire is cut");
+  EXPECT_EQ(wire->pulses(), 1);
+  options.wired = true;
+  EXPECT_FALSE(options.Validate());
 }
 
 TEST(SimCamera, OnTheTriggersWireAPulseExposesWithWhatWasPreparedAndSaysWhen) {

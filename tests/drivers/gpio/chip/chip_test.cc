@@ -12,15 +12,19 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <utility>
 #include <vector>
 
 #include "core/base/file.h"
+#include "drivers/gpio/camera_trigger.h"
 #include "drivers/gpio/lines.h"
+#include "tests/support/eventually.h"
 
 namespace omnihdr::chip_test {
 namespace {
 
 using namespace omnihdr::gpio;  // NOLINT(google-build-using-namespace)
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 constexpr unsigned kLines = 4;
@@ -56,6 +60,23 @@ class EmulatedChip {
     if (umockdev_testbed_attach_ioctl(testbed_, "/dev/gpiochip0", handler_, &error) == 0) {
       ADD_FAILURE() << error->message;
     }
+    // What an output line's request gives: a descriptor that the emulation answers, opened before,
+    // for the handler cannot wait for itself.
+    if (umockdev_testbed_add_from_string(testbed_,
+                                         "P: /devices/platform/emulated/gpioline0\n"
+                                         "N: gpioline0\n"
+                                         "E: DEVNAME=/dev/gpioline0\n"
+                                         "E: SUBSYSTEM=gpio\n"
+                                         "E: MAJOR=254\n"
+                                         "E: MINOR=1\n"
+                                         "A: dev=254:1\\n\n",
+                                         &error) == 0 ||
+        umockdev_testbed_attach_ioctl(testbed_, "/dev/gpioline0", handler_, &error) == 0) {
+      ADD_FAILURE() << error->message;
+      return;
+    }
+    output_ = open("/dev/gpioline0", O_RDWR | O_CLOEXEC);
+    if (output_ < 0) ADD_FAILURE() << "open /dev/gpioline0";
   }
   ~EmulatedChip() {
     g_object_unref(handler_);
@@ -87,6 +108,11 @@ class EmulatedChip {
   std::uint64_t flags(unsigned line) {
     std::lock_guard lock(mutex_);
     return flags_[line];
+  }
+  // Every value that was set at an output line, as the voltage is without active low.
+  std::vector<bool> values() {
+    std::lock_guard lock(mutex_);
+    return values_;
   }
   std::uint32_t debounce_us = 0;
   bool refuse_busy = false;
@@ -153,7 +179,17 @@ class EmulatedChip {
         return Exchange<gpiohandle_request>(client, [this](gpiohandle_request& request) {
           if (refuse_busy) return EBUSY;
           flags_[request.lineoffsets[0]] = request.flags;
-          request.fd = Connect(request.lineoffsets[0]);
+          request.fd = std::exchange(output_, -1);
+          return request.fd < 0 ? EBUSY : 0;
+        });
+      case GPIOHANDLE_SET_LINE_VALUES_IOCTL:
+        return Exchange<gpiohandle_data>(client, [this](gpiohandle_data& data) {
+          values_.push_back(data.values[0] != 0);
+          return 0;
+        });
+      case GPIO_V2_LINE_SET_VALUES_IOCTL:
+        return Exchange<gpio_v2_line_values>(client, [this](gpio_v2_line_values& data) {
+          values_.push_back((data.bits & 1U) != 0);
           return 0;
         });
       case GPIO_V2_GET_LINE_IOCTL:
@@ -170,8 +206,9 @@ class EmulatedChip {
               flags_[request.offsets[0]] = attribute.flags;
             }
           }
-          request.fd = Connect(request.offsets[0]);
-          return 0;
+          const bool output = (flags_[request.offsets[0]] & GPIO_V2_LINE_FLAG_OUTPUT) != 0;
+          request.fd = output ? std::exchange(output_, -1) : Connect(request.offsets[0]);
+          return request.fd < 0 ? EBUSY : 0;
         });
       default:
         umockdev_ioctl_client_complete(client, -1, ENOTTY);
@@ -185,6 +222,8 @@ class EmulatedChip {
   std::map<unsigned, Fd> lines_;
   std::map<unsigned, std::uint64_t> flags_;
   bool second_interface_ = false;
+  int output_ = -1;
+  std::vector<bool> values_;
 };
 
 class GpioChip : public ::testing::Test {
@@ -303,10 +342,27 @@ TEST_F(GpioChip, AnOutputLineIsRequestedAsSuch) {
     EXPECT_EQ(chip.flags(2),
               static_cast<unsigned>(GPIOHANDLE_REQUEST_OUTPUT | GPIOHANDLE_REQUEST_ACTIVE_LOW));
   }
-  // The line's own descriptor is a pipe, which takes no values: an error, and no more.
-  const Status set = (*output)->Set(true);
-  ASSERT_FALSE(set);
-  EXPECT_THAT(set.error().message, HasSubstr("set emulated line lamp-out"));
+  for (const bool active : {true, false, true}) {
+    const Status set = (*output)->Set(active);
+    EXPECT_TRUE(set) << set.error().message;
+  }
+  EXPECT_THAT(chip.values(), ElementsAre(true, false, true));
+}
+
+TEST_F(GpioChip, APulseThatReleasesACameraIsSetAndTakenBackAtTheKernelsInterface) {
+  CameraTriggerOptions options;
+  options.name = {"emulated", "lamp-out"};
+  options.pulse_s = 0.002;
+  options.spacing_s = 0.01;
+  CameraTrigger trigger(options, MakeLines(), clock);
+  ASSERT_TRUE(trigger.Start());
+  ASSERT_TRUE(testing::Eventually([&] { return trigger.report().up; })) << trigger.report().problem;
+  for (int i = 0; i < 2; ++i) {
+    const auto moment = trigger.Release(std::chrono::seconds(5));
+    ASSERT_TRUE(moment) << moment.error().message;
+  }
+  ASSERT_TRUE(testing::Eventually([&] { return chip.values().size() == 4; }));
+  EXPECT_THAT(chip.values(), ElementsAre(true, false, true, false));
 }
 
 }  // namespace
