@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <random>
 #include <thread>
 
@@ -87,6 +88,7 @@ TEST_F(Killed, AtRandomMomentsItEndsWithTheSameBytes) {
       "{} kills at random moments, {} of them while frames came; {} sessions, each with the bytes "
       "of an undisturbed run; {:.0f} s\n",
       kills, with_frames, sessions_, SecondsSince(start));
+  std::fflush(stdout);  // what follows may take an hour
 }
 
 TEST_F(Killed, AtEveryKindOfCallItEndsWithTheSameBytes) {
@@ -145,6 +147,7 @@ TEST_F(Killed, AtEveryKindOfCallItEndsWithTheSameBytes) {
       "{:.0f} s\n",
       kills, points.size(), sessions_, SecondsSince(start));
   for (const std::string& name : not_reached) fmt::print("not reached: {}\n", name);
+  std::fflush(stdout);
   EXPECT_GE(static_cast<std::size_t>(kills), points.size() * 3 / 4);
 }
 
