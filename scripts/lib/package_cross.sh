@@ -45,13 +45,38 @@ cross_build() {
   }
   mv "$root"/build/omnihdr*.{deb,changes,buildinfo} "$out/"
   judge "$out"/*.changes
-  # That it starts is seen by the manual page, which the program wrote under an emulator; here is what it is.
-  local content
-  content="$(mktemp -d)"
-  dpkg-deb -x "$out"/omnihdr_*"_$architecture.deb" "$content"
-  file "$content/usr/bin/omnihdr" | sed "s|$content||"
-  rm -rf "$content"
+  check_symbols "$out"
+  try_emulated "$root" "$architecture" "$out"
   ls -l "$out"/*.deb
+}
+
+# try_emulated ROOT ARCHITECTURE OUT: the packaged tool on a simulated drive, under an emulator, in the root that has
+# the libraries of both architectures. Its views must be nearer to the scene than the single frames are.
+try_emulated() {
+  local root="$1" architecture="$2" out="$3" emulator begin=$SECONDS
+  emulator="qemu-$(dpkg-architecture --host-arch "$architecture" --query DEB_HOST_GNU_CPU 2>/dev/null)-static"
+  rm -rf "$root/build/trial"
+  mkdir "$root/build/trial"
+  dpkg-deb -x "$out"/omnihdr_*"_$architecture.deb" "$root/build/trial/package"
+  file "$root/build/trial/package/usr/bin/omnihdr" | sed "s|.*/usr|/usr|; s/, BuildID.*//"
+  cross_in "$root" bash -e -c '
+    cd /build/trial
+    omnihdr() { "$0" package/usr/bin/omnihdr "$@"; }
+    omnihdr --version
+    "$0" package/usr/bin/omnihdrd --config package/etc/omnihdr/omnihdr.toml --check
+    omnihdr simulate drive --scene yard --width 384 --samples 1 --positions 4
+    omnihdr process drive
+    omnihdr verify drive
+    omnihdr evaluate drive | tee evaluation
+    awk "/^ *mean / { found = 1; exit !(\$2 < \$3) } END { if (!found) exit 1 }" evaluation' "$emulator" \
+    >"$work/trial.log" 2>&1 || {
+    tail -n 15 "$work/trial.log" >&2
+    echo "scripts/package: the programs do not do under an emulator: $work/trial.log" >&2
+    return 1
+  }
+  grep -E '^ *mean ' "$root/build/trial/evaluation" |
+    awk '{ print "scripts/package: a simulated drive under an emulator: error of the views " $2 ", of single frames " $3 }'
+  echo "scripts/package: $((SECONDS - begin)) s for it"
 }
 
 # cross_in ROOT COMMAND...: with the kernel's file systems that compilers and package scripts ask for.
