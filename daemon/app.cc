@@ -101,6 +101,8 @@ Status App::Run() {
   }
   OMNIHDR_ASSIGN(api_, ApiServer::Listen(api, *this, hub_));
   OMNIHDR_TRY(StartLinks());
+  orientation_ = std::make_unique<OrientationWatch>(
+      [this](const OrientationState& found) { OnOrientation(found); });
   StartStages();
   state_.Update([](CaptureConditions& c) {
     c.started = true;
@@ -295,6 +297,7 @@ Status App::TearDown() {
   join(retention_stage_);
   join(camera_stage_);
   join(recorder_stage_);
+  orientation_.reset();
   if (pipeline_stage_) {
     pipeline_stage_->RequestStop();
     const HostTime deadline = clock_.Now() + kPipelineGrace;

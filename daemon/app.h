@@ -36,6 +36,7 @@
 #include "daemon/config_reload.h"
 #include "daemon/event_loop.h"
 #include "daemon/logging.h"
+#include "daemon/orientation_watch.h"
 #include "daemon/session_choice.h"
 #include "daemon/session_rotation.h"
 #include "daemon/supervisor.h"
@@ -168,7 +169,8 @@ class App final : public ApiBackend {
   void CloseViews(const SessionProcessor* processor);
   void OnViewDone(const ViewDone& view);
   void OnQualityChanged(int level, int backlog);
-  void SetArmed(bool armed);  // main loop
+  void OnOrientation(const OrientationState& found);  // orientation watch's thread
+  void SetArmed(bool armed);                          // main loop
   void SetViewsError(const std::string& error);
   // Until there is more than `known` lines, or the views are to be finished.
   void WaitForJournal(std::stop_token stop, Nanoseconds timeout, std::uint64_t known);
@@ -352,6 +354,7 @@ class App final : public ApiBackend {
   std::unique_ptr<Stage> camera_stage_;
   std::unique_ptr<Stage> reload_stage_;
   std::unique_ptr<Stage> retention_stage_;
+  std::unique_ptr<OrientationWatch> orientation_;  // from before the stages until after them
 };
 
 }  // namespace omnihdr

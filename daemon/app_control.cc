@@ -353,6 +353,8 @@ StatusReport App::BuildStatus() const {
   s.armed = armed_;
   s.trigger_source = std::string(parts_.triggers->kind());
   s.trigger_wired = config_.trigger.wired;
+  s.camera_pulsed = config_.gpio.camera_trigger.configured();
+  s.orientation = orientation_->state();
   s.triggers_ignored = ignored_triggers_;
   s.session_ended = ended_;
   s.pipeline_enabled = static_cast<bool>(parts_.open_pipeline);

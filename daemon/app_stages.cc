@@ -57,6 +57,15 @@ std::string WithClock(const std::string& extra_json, const UtcQuality& utc) {
   return extra.dump();
 }
 
+// The rig file of a camera whose frames are those of a head's sensors; empty for all others.
+std::string HeadOf(const CameraInfo& info) {
+  if (info.description.layout != Layout::kRig) return {};
+  for (const SessionFile& file : info.files) {
+    if (file.name == "rig.toml") return file.content;
+  }
+  return {};
+}
+
 void Rest(std::stop_token stop, Nanoseconds time) {
   std::mutex mutex;
   std::condition_variable_any never;
@@ -157,6 +166,10 @@ Status App::OnCameraOpened(const CameraInfo& info) {
                          static_cast<double>(info.min_trigger_interval.count()) * 1e-9, info.proof};
     bracket_changes_ = plan->changes();
   }
+  orientation_->Begin(config_.camera.check_orientation ? HeadOf(info) : "");
+  if (orientation_->state().what != ToString(OrientationVerdict::kContradicted)) {
+    state_.Update([](CaptureConditions& c) { c.orientation.clear(); });
+  }
   ExposureTolerance tolerance;
   tolerance.relative = config_.camera.exposure_tolerance;
   tolerance.quantum_s = info.exposure_quantum_s;
@@ -227,6 +240,9 @@ void App::OnJournaled(const FrameRecord& record) {
   if (!record.detail.empty()) event["detail"] = record.detail;
   hub_.Publish(event);
   if (usable) {
+    if (const std::shared_ptr<Session> at = session(); at && !record.file.empty()) {
+      orientation_->Offer(at->directory / record.file);
+    }
     spdlog::debug("trigger {}: {}", Value(record.frame), record.file);
     if (!record.detail.empty()) {
       if (const auto count = drop_log_.Pass(clock_.Now())) {
@@ -245,6 +261,20 @@ void App::OnJournaled(const FrameRecord& record) {
                         ? ""
                         : fmt::format("{} of the last {} triggers gave no frame (last: {})",
                                       losses.lost, losses.of, losses.last_reason);
+  });
+}
+
+void App::OnOrientation(const OrientationState& found) {
+  const bool contradicted = found.what == ToString(OrientationVerdict::kContradicted);
+  if (contradicted) {
+    const LogContext about({.error = "orientation"});
+    spdlog::error("orientation: {}", found.text);
+  } else {
+    spdlog::info("orientation: {}: {}", found.what, found.text);
+  }
+  hub_.Publish({{"event", "orientation"}, {"what", found.what}, {"text", found.text}});
+  state_.Update([&](CaptureConditions& c) {
+    c.orientation = contradicted ? fmt::format("orientation: {}", found.text) : "";
   });
 }
 

@@ -1,6 +1,9 @@
 #include "daemon/camera_parts.h"
 
 #include <algorithm>
+#include <chrono>
+#include <thread>
+#include <utility>
 
 namespace omnihdr {
 namespace {
@@ -33,7 +36,8 @@ iidc::Coding Coding(IidcCoding coding) {
   return iidc::Coding::kRaw8;
 }
 
-CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired) {
+CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired,
+                              std::shared_ptr<CameraRelease> release) {
   const IidcCameraConfig& from = config.iidc;
   iidc::IidcCameraOptions options;
   options.id = from.id;
@@ -49,6 +53,7 @@ CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired) {
   options.packet_bytes = from.packet_bytes;
   options.trigger_mode = from.trigger_mode;
   options.wired = wired;
+  options.release = std::move(release);
   options.trigger_input = from.trigger_input;
   options.trigger_active_low = from.trigger_active_low;
   options.settle_frames = from.settle_frames;
@@ -61,14 +66,15 @@ CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired) {
 
 }  // namespace
 
-CameraOptions MakeCameraOptions(const DaemonConfig& config, bool wired) {
+CameraOptions MakeCameraOptions(const DaemonConfig& config, bool wired,
+                                std::shared_ptr<CameraRelease> release) {
   if (config.camera.driver == CameraDriver::kReplay) {
     ReplayOptions replay;
     replay.session = config.camera.replay.session;
     return replay;
   }
   if (config.camera.driver == CameraDriver::kIidc) {
-    return MakeIidcOptions(config.camera, wired);
+    return MakeIidcOptions(config.camera, wired, std::move(release));
   }
   if (config.camera.driver == CameraDriver::kV4l2) {
     v4l2::V4l2CameraOptions v4l2 = config.camera.v4l2;
@@ -93,6 +99,7 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config, bool wired) {
   options.simulation.sensor.seed = from.seed;
   options.latency_s = from.latency_s;
   options.wired = wired;
+  options.release = std::move(release);
   options.faults.lost_probability = from.lost_frame_probability;
   options.faults.torn_probability = from.corrupt_frame_probability;
   options.faults.exposure_probability = from.exposure_error_probability;
@@ -103,6 +110,44 @@ CameraOptions MakeCameraOptions(const DaemonConfig& config, bool wired) {
                            ? config.trigger.interval_s * from.speed_m_s
                            : config.trigger.distance_m;
   return options;
+}
+
+std::shared_ptr<gpio::CameraTrigger> MakeCameraTrigger(const DaemonConfig& config) {
+  if (!config.gpio.camera_trigger.configured()) return nullptr;
+  static const SystemClock clock;
+  return std::make_shared<gpio::CameraTrigger>(config.gpio.CameraTrigger(), gpio::MakeLines(),
+                                               clock);
+}
+
+std::shared_ptr<CameraRelease> MakeReplayedCameraTrigger(const DaemonConfig& config) {
+  class Replayed final : public CameraRelease {
+   public:
+    Result<Moment> Release(Nanoseconds /*patience*/) override {
+      const HostTime now = clock_.Now();
+      return Moment{now, now};
+    }
+    Nanoseconds spacing() const override { return Nanoseconds(0); }
+
+   private:
+    const SystemClock clock_;
+  };
+  if (!config.gpio.camera_trigger.configured()) return nullptr;
+  return std::make_shared<Replayed>();
+}
+
+Result<std::shared_ptr<CameraRelease>> OpenCameraTrigger(const DaemonConfig& config) {
+  constexpr auto kLook = std::chrono::milliseconds(5);
+  constexpr int kLooks = 200;
+  const std::shared_ptr<gpio::CameraTrigger> line = MakeCameraTrigger(config);
+  if (!line) return std::shared_ptr<CameraRelease>();
+  OMNIHDR_TRY(line->Start());
+  for (int i = 0; i < kLooks; ++i) {
+    const LinkReport report = line->report();
+    if (report.up) return std::shared_ptr<CameraRelease>(line);
+    if (report.errors > 0) break;
+    std::this_thread::sleep_for(kLook);
+  }
+  return Fail(ErrorKind::kUnavailable, "gpio.outputs.camera_trigger: {}", line->report().problem);
 }
 
 }  // namespace omnihdr

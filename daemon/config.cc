@@ -269,6 +269,7 @@ class Loader {
               "\"\", expected a line with trigger.source = \"gpio\"");
     }
     if (config.trigger.wired) CheckWired(line_of);
+    if (config.gpio.camera_trigger.configured()) CheckCameraTrigger(line_of);
     if (inputs.trigger.name.configured() && inputs.trigger.name.line == inputs.wheel.name.line &&
         inputs.trigger.name.chip == inputs.wheel.name.chip) {
       Problem(line_of("gpio.wheel.line"), "gpio.wheel.line",
@@ -335,6 +336,53 @@ class Loader {
     if (config.trigger.burst) {
       problem("trigger.burst",
               "true, expected false with trigger.wired = true: a pulse is a picture");
+    }
+  }
+
+  // A camera that is made to expose by a line of ours.
+  template <typename LineOf>
+  void CheckCameraTrigger(const LineOf& line_of) {
+    constexpr const char* kKey = "gpio.outputs.camera_trigger";
+    const DaemonConfig& config = loaded_.config;
+    const gpio::CameraTriggerOptions options = config.gpio.CameraTrigger();
+    const auto problem = [&](const char* key, std::string message) {
+      Problem(line_of(kKey), key, std::move(message));
+    };
+    if (const Status valid = options.Validate(); !valid) {
+      problem("gpio", valid.error().message);
+    }
+    const gpio::OutputsOptions& outputs = config.gpio.outputs;
+    const gpio::InputsOptions& inputs = config.gpio.inputs;
+    const std::pair<const char*, gpio::LineName> others[] = {
+        {"gpio.outputs.ready", {outputs.chip, outputs.ready}},
+        {"gpio.outputs.busy", {outputs.chip, outputs.busy}},
+        {"gpio.outputs.fault", {outputs.chip, outputs.fault}},
+        {"gpio.outputs.strobe", {outputs.chip, outputs.strobe}},
+        {"gpio.trigger.line", inputs.trigger.name},
+        {"gpio.wheel.line", inputs.wheel.name}};
+    for (const auto& [key, other] : others) {
+      if (other.line != options.name.line || other.chip != options.name.chip) continue;
+      problem(kKey, fmt::format("{}, expected another line than {}", TomlText(other.line), key));
+    }
+    const CameraDriver driver = config.camera.driver;
+    if (driver != CameraDriver::kIidc && driver != CameraDriver::kSim) {
+      problem("camera.driver",
+              fmt::format("{}, expected \"iidc\" or \"sim\" with {}: others have no input for it",
+                          TomlText(ToString(driver)), kKey));
+    }
+    if (driver == CameraDriver::kIidc && config.camera.iidc.trigger_mode == 15) {
+      problem("camera.iidc.trigger_mode", fmt::format("15, expected 0 or 14 with {}", kKey));
+    }
+    if (config.trigger.wired) {
+      problem(
+          "trigger.wired",
+          fmt::format("true, expected false with {}: the wire is either observed or pulsed", kKey));
+    }
+    if (config.trigger.source == TriggerKind::kTimer &&
+        config.trigger.interval_s < options.spacing_s) {
+      problem("trigger.interval_s",
+              fmt::format("{}, expected at least gpio.outputs.camera_trigger_spacing_s, {}",
+                          TomlText(config.trigger.interval_s), TomlText(options.spacing_s)));
     }
   }
 

@@ -16,6 +16,7 @@
 #include "core/session/journal.h"
 #include "core/session/session.h"
 #include "drivers/gnss/gpsd_client.h"
+#include "drivers/gpio/camera_trigger.h"
 #include "drivers/gpio/inputs.h"
 #include "drivers/gpio/outputs.h"
 #include "drivers/modbus/server.h"
@@ -134,6 +135,7 @@ struct CameraConfig {
   double frame_timeout_s = 2.0;      // command to frame; then the trigger counts as camera-timeout
   double exposure_tolerance = 0.02;  // relative difference of commanded and proved exposure
   double reconnect_s = 2.0;          // between attempts to open a camera that has gone
+  bool check_orientation = true;     // of a head of several sensors, by its first frames
   SimCameraConfig sim;
   ReplayCameraConfig replay;
   IidcCameraConfig iidc;
@@ -179,6 +181,13 @@ struct TriggerConfig {
 struct GpioConfig {
   gpio::InputsOptions inputs;
   gpio::OutputsOptions outputs;
+  gpio::CameraTriggerOptions camera_trigger;  // on the chip of the outputs
+  // camera_trigger with its chip.
+  gpio::CameraTriggerOptions CameraTrigger() const {
+    gpio::CameraTriggerOptions options = camera_trigger;
+    options.name.chip = outputs.chip;
+    return options;
+  }
 };
 
 // [modbus.client] in `client`, [modbus.server] in `server` and `control`

@@ -277,6 +277,7 @@ std::vector<ConfigKey> MakeKeys() {
   add(Number("camera.exposure_tolerance", "a fraction", 0, 1,
              OMNIHDR_MEMBER(camera.exposure_tolerance)));
   add(Number("camera.reconnect_s", "seconds", 0.1, 3600, OMNIHDR_MEMBER(camera.reconnect_s)));
+  add(Switch("camera.check_orientation", OMNIHDR_MEMBER(camera.check_orientation)));
 
   add(Choice("camera.sim.scene",
              std::vector{SimScene::kHall, SimScene::kYard, SimScene::kTunnel, SimScene::kStreet},

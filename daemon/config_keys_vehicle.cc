@@ -78,6 +78,14 @@ void AddVehicleKeys(std::vector<ConfigKey>& keys) {
            OMNIHDR_MEMBER(gpio.outputs.strobe)));
   add(Switch("gpio.outputs.active_low", OMNIHDR_MEMBER(gpio.outputs.active_low)));
   add(Number("gpio.outputs.strobe_s", "seconds", 1e-5, 1, OMNIHDR_MEMBER(gpio.outputs.strobe_s)));
+  add(Text("gpio.outputs.camera_trigger", "a line's name or offset", kNameBytes,
+           OMNIHDR_MEMBER(gpio.camera_trigger.name.line)));
+  add(Switch("gpio.outputs.camera_trigger_active_low",
+             OMNIHDR_MEMBER(gpio.camera_trigger.active_low)));
+  add(Number("gpio.outputs.camera_trigger_s", "seconds", 1e-5, 1,
+             OMNIHDR_MEMBER(gpio.camera_trigger.pulse_s)));
+  add(Number("gpio.outputs.camera_trigger_spacing_s", "seconds", 1e-5, 10,
+             OMNIHDR_MEMBER(gpio.camera_trigger.spacing_s)));
 
   const std::vector connections{modbus::Connection::kOff, modbus::Connection::kTcp,
                                 modbus::Connection::kRtu};

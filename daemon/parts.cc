@@ -40,7 +40,13 @@ Status CheckParts(const DaemonConfig& config) {
 
 Result<AppParts> MakeConfiguredParts(const DaemonConfig& config, const PartsContext& context) {
   AppParts parts;
-  OMNIHDR_ASSIGN(parts.camera, MakeCamera(MakeCameraOptions(config, config.trigger.wired)));
+  const std::shared_ptr<gpio::CameraTrigger> release = MakeCameraTrigger(config);
+  if (release) {
+    OMNIHDR_TRY(config.gpio.CameraTrigger().Validate().Context("gpio"));
+    parts.links.push_back(release);
+  }
+  OMNIHDR_ASSIGN(parts.camera,
+                 MakeCamera(MakeCameraOptions(config, config.trigger.wired, release)));
   switch (config.trigger.source) {
     case TriggerKind::kSoftware:
       parts.triggers = std::make_unique<SoftwareTrigger>();

@@ -66,6 +66,10 @@ StateReport EvaluateState(const CaptureConditions& c) {
   add(c.views_stalled, "make room where the views are written; they go on by themselves");
   add(c.storage_low, "see to room on the volume of the session before it is full (omnihdr doctor)");
   add(c.links, "look at the connection that is named; it is made again by itself");
+  add(c.orientation,
+      "compare order and rotations of the rig file's sensors with the head, and a picture of a "
+      "text "
+      "(omnihdr calibrate verify); frames are kept and can be processed with the right rig.toml");
   if (!degraded.empty()) return {CaptureState::kDegraded, degraded, remedy};
   if (c.capturing) return {CaptureState::kCapturing, "pictures are being taken", kNothing};
   return {CaptureState::kArmed, "every trigger takes a picture", kNothing};

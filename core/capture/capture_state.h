@@ -37,6 +37,7 @@ struct CaptureConditions {
   std::string views_stalled;  // what keeps the pipeline from working
   std::string storage_low;    // that it nears its end, or cannot be read
   std::string links;          // what connection to the vehicle is not there
+  std::string orientation;    // that the head's pictures contradict its rig file
   std::string idle;           // why it is disarmed; "disarmed" when empty
   bool ended = false;         // the session has ended, or is being ended: it is not armed again
 };

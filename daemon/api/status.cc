@@ -122,7 +122,14 @@ Json StatusToJson(const StatusReport& s) {
         {"exposure", std::move(exposure)},
         {"counters", std::move(camera_counters)},
         {"rearmed", s.camera_rearmed},
+        {"pulsed", s.camera_pulsed},
         {"clock_jumps", s.capture.clock_jumps}}},
+      {"orientation",
+       {{"what", s.orientation.what},
+        {"text", Utf8(s.orientation.text)},
+        {"agreement", s.orientation.agreement},
+        {"frames", s.orientation.frames},
+        {"looks", s.orientation.looks}}},
       {"armed", s.armed},
       {"trigger_source", s.trigger_source},
       {"trigger_wired", s.trigger_wired},
@@ -247,6 +254,14 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.Family("omnihdr_camera_events_total", "counter", "What the camera's driver counts, by name.");
   for (const auto& [name, value] : s.camera_counters) {
     m.Sample("omnihdr_camera_events_total", fmt::format("event=\"{}\"", name), AsDouble(value));
+  }
+  if (s.orientation.what != "off") {
+    m.One("omnihdr_orientation_agreement", "gauge",
+          "How far neighbouring sensors agree under the rig file, -1 to 1.",
+          s.orientation.agreement);
+    m.One("omnihdr_orientation_contradicted", "gauge",
+          "1 when they contradict it, and agree under another order or rotation.",
+          s.orientation.what == "contradicted" ? 1.0 : 0.0);
   }
   m.One("omnihdr_triggers_total", "counter", "Triggers of the session.", AsDouble(s.triggers));
   m.One("omnihdr_triggers_in_flight", "gauge", "Triggers not yet journaled.",
@@ -412,7 +427,8 @@ std::string StatusForPeople(const Json& s) {
                                                                          : ""));
   const Json& camera = s.at("camera");
   line("camera", fmt::format("{}{}", camera.at("model").get<std::string>(),
-                             camera.at("ready").get<bool>() ? "" : " (not ready)"));
+                             camera.at("ready").get<bool>() ? "" : " (not ready)") +
+                     (camera.value("pulsed", false) ? ", released by pulses on its wire" : ""));
   if (const Json exposure = camera.value("exposure", Json()); exposure.is_object()) {
     const int latency = exposure.value("latency_frames", 0);
     const double interval = exposure.value("min_trigger_interval_s", 0.0);
@@ -424,6 +440,11 @@ std::string StatusForPeople(const Json& s) {
                          ? fmt::format(", the next trigger after {:.3g} s at the soonest", interval)
                          : "",
                      exposure.value("proof", "")));
+  }
+  if (const Json orientation = s.value("orientation", Json::object());
+      orientation.value("what", "off") != "off") {
+    line("orientation",
+         fmt::format("{} ({})", orientation.value("what", ""), orientation.value("text", "")));
   }
   line("positions",
        fmt::format("{} triggered by {}", s.at("positions_triggered").get<std::int64_t>(),

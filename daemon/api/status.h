@@ -26,6 +26,17 @@ struct CameraAbilities {
   ExposureProof proof = ExposureProof::kNone;
 };
 
+// What is known of whether the pictures of a head of several sensors are what its rig file says.
+struct OrientationState {
+  // "off" (no such head, or not wanted), "looking", or a verdict: "agrees", "contradicted",
+  // "undecided".
+  std::string what = "off";
+  std::string text;        // one sentence; empty when off
+  double agreement = 0.0;  // of neighbouring sensors, as configured: -1 to 1
+  int frames = 0;          // that said something
+  int looks = 0;
+};
+
 // All that the daemon tells about itself, at one moment.
 struct StatusReport {
   std::string version;
@@ -48,6 +59,8 @@ struct StatusReport {
   bool armed = false;
   std::string trigger_source;
   bool trigger_wired = false;                  // the camera hangs on its wire
+  bool camera_pulsed = false;                  // released by gpio.outputs.camera_trigger
+  OrientationState orientation;                // of a head of several sensors
   std::uint64_t triggers = 0;                  // of the session, earlier runs included
   std::uint64_t triggers_in_flight = 0;        // not yet journaled
   std::uint64_t triggers_without_session = 0;  // of those: missed, waiting for a session's journal

@@ -70,7 +70,9 @@ Result<Look> LookAtSession(const BracketArguments& arguments) {
 
 Result<Look> LookThroughCamera(const BracketArguments& arguments) {
   OMNIHDR_ASSIGN(const DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
-  OMNIHDR_ASSIGN(const std::unique_ptr<Camera> camera, MakeCamera(MakeCameraOptions(config)));
+  OMNIHDR_ASSIGN(std::shared_ptr<CameraRelease> release, OpenCameraTrigger(config));
+  OMNIHDR_ASSIGN(const std::unique_ptr<Camera> camera,
+                 MakeCamera(MakeCameraOptions(config, false, std::move(release))));
   OMNIHDR_ASSIGN(const CameraInfo info, camera->Open());
   if (info.proof == ExposureProof::kFile) {
     return Fail(

@@ -14,6 +14,7 @@ constexpr std::array kCalibrations = {
     AddCalibrateWhiteBalance,
     AddCalibrateSensors,
     AddCalibrateVignetting,
+    AddCalibrateVerify,
 };
 // clang-format on
 

@@ -11,5 +11,6 @@ void AddCalibrateWhiteBalance(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateSensors(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateVignetting(CLI::App& calibrate, CommandRun& run);
 void AddCalibrateNoise(CLI::App& calibrate, CommandRun& run);
+void AddCalibrateVerify(CLI::App& calibrate, CommandRun& run);
 
 }  // namespace omnihdr

@@ -94,7 +94,11 @@ Result<int> List(const CameraArguments& arguments) {
     fmt::print("{}\n", cameras.dump(2));
     return 0;
   }
-  if (cameras.empty()) fmt::print("no IIDC camera on USB or FireWire and no V4L2 device\n");
+  if (cameras.empty()) {
+    fmt::print(
+        "no IIDC camera on USB or FireWire and no V4L2 device (omnihdr doctor looks at cables, "
+        "permissions and drivers; \"sim\" and \"replay\" need no device)\n");
+  }
   for (const Json& camera : cameras) {
     const auto text = [&camera](const char* key) { return camera.value(key, std::string()); };
     fmt::print("{:<5} {:<28} {}  {}{}\n", text("driver"), text("place"), text("id"), text("model"),
@@ -133,10 +137,13 @@ Result<DaemonConfig> ConfigOf(const CameraArguments& arguments) {
 Result<OpenCamera> Open(const CameraArguments& arguments) {
   OpenCamera open;
   OMNIHDR_ASSIGN(open.config, ConfigOf(arguments));
-  CameraOptions options = MakeCameraOptions(open.config);
   if (!arguments.replay.empty()) {
+    const CameraOptions options =
+        MakeCameraOptions(open.config, false, MakeReplayedCameraTrigger(open.config));
     OMNIHDR_ASSIGN(open.camera, MakeReplayedCamera(options, arguments.replay));
   } else {
+    OMNIHDR_ASSIGN(std::shared_ptr<CameraRelease> release, OpenCameraTrigger(open.config));
+    CameraOptions options = MakeCameraOptions(open.config, false, std::move(release));
     if (!arguments.record.empty()) OMNIHDR_TRY(RecordTransport(options, arguments.record));
     OMNIHDR_ASSIGN(open.camera, MakeCamera(options));
   }
@@ -160,10 +167,31 @@ Json InfoOf(const OpenCamera& open) {
       {"exposure_latency_frames", info.exposure_latency_frames},
       {"min_trigger_interval_s", static_cast<double>(info.min_trigger_interval.count()) * 1e-9},
       {"proof", ToString(info.proof)}};
+  if (open.config.gpio.camera_trigger.configured()) {
+    json["released_by"] = open.config.gpio.CameraTrigger().name.Text();
+  }
   if (const Json more = Json::parse(info.extra_json, nullptr, false); more.is_object()) {
     json.update(more);
   }
   return json;
+}
+
+// A line each: what is within an object has the object's name before it.
+void PrintValue(const std::string& key, const Json& value) {
+  if (value.is_object()) {
+    for (const auto& [name, member] : value.items()) PrintValue(key + "." + name, member);
+    return;
+  }
+  std::string text = value.is_string() ? value.get<std::string>() : value.dump();
+  if (text.empty()) text = "none";
+  if (key == "exposure_s" && value.is_array() && value.size() == 2) {
+    text = fmt::format("{:g} to {:g}", value[0].get<double>(), value[1].get<double>());
+  } else if (key == "exposure_step_s" && value == 0.0) {
+    text = "0 (any exposure within the limits)";
+  } else if (value.is_number_float()) {
+    text = fmt::format("{:g}", value.get<double>());
+  }
+  fmt::print("{:<28} {}\n", key, text);
 }
 
 Result<int> Info(const CameraArguments& arguments) {
@@ -173,9 +201,7 @@ Result<int> Info(const CameraArguments& arguments) {
     fmt::print("{}\n", info.dump(2));
     return 0;
   }
-  for (const auto& [key, value] : info.items()) {
-    fmt::print("{:<24} {}\n", key, value.is_string() ? value.get<std::string>() : value.dump());
-  }
+  for (const auto& [key, value] : info.items()) PrintValue(key, value);
   return 0;
 }
 
@@ -248,6 +274,12 @@ Result<int> Test(const CameraArguments& arguments) {
   options.frame_timeout =
       Nanoseconds(static_cast<Nanoseconds::rep>(1e9 * open.config.camera.frame_timeout_s));
   if (arguments.unplug) {
+    const CameraDriver driver = open.config.camera.driver;
+    if (driver == CameraDriver::kSim || driver == CameraDriver::kReplay) {
+      return Fail(ErrorKind::kUsage,
+                  "--unplug: expected camera.driver \"iidc\" or \"v4l2\": a {} camera has no cable",
+                  ToString(driver));
+    }
     options.ask = [](const std::string& what) { fmt::print(stderr, ">>> {} now\n", what); };
   }
   if (!arguments.json) {

@@ -135,7 +135,10 @@ class Trial {
         usable_ && stops >= 1.0
             ? fmt::format("{} steps of {:.1f} stops, each seen in the first picture after it",
                           kLatencySteps, stops)
-            : fmt::format("the scene shows no step at {:.4g} s", bright.seconds()),
+            : fmt::format(
+                  "steps at {:.4g} s are not looked for in the pictures, which are too dark or "
+                  "too bright at every exposure of the ladder",
+                  bright.seconds()),
         1e3 * quickest_s, 1e3 * slowest_s, info_.exposure_latency_frames));
   }
 

@@ -413,7 +413,7 @@ void CheckGpio(Examination& e) {
     return gpio::LineName{gpio.outputs.chip, line};
   };
   if (!gpio.inputs.trigger.name.configured() && !gpio.inputs.wheel.name.configured() &&
-      !gpio.outputs.configured()) {
+      !gpio.outputs.configured() && !gpio.camera_trigger.configured()) {
     return;
   }
   const Result<std::vector<GpioChipInfo>> chips = e.machine.gpio_chips();
@@ -427,6 +427,7 @@ void CheckGpio(Examination& e) {
   CheckLine(e, *chips, "gpio-busy", output(gpio.outputs.busy));
   CheckLine(e, *chips, "gpio-fault", output(gpio.outputs.fault));
   CheckLine(e, *chips, "gpio-strobe", output(gpio.outputs.strobe));
+  CheckLine(e, *chips, "gpio-camera-trigger", output(gpio.camera_trigger.name.line));
 }
 
 std::optional<std::size_t> PictureBytes(const DaemonConfig& config) {

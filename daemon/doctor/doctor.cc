@@ -72,6 +72,22 @@ bool SomebodyListens(const fs::path& path) {
           errno == EAGAIN);
 }
 
+// What the daemon found out about the order and rotations of a head's sensors.
+void CheckOrientation(Examination& e, const nlohmann::json& status) {
+  const nlohmann::json orientation = status.value("orientation", nlohmann::json::object());
+  const std::string what = orientation.value("what", "off");
+  const std::string text = orientation.value("text", "");
+  if (what == "contradicted") {
+    e.Problem("orientation", text,
+              "omnihdr calibrate verify --session SESSION   # then correct the order and the "
+              "rotations of the sensors in the rig file");
+  } else if (what == "agrees") {
+    e.Good("orientation", text);
+  } else if (what != "off") {
+    e.Add("orientation", Verdict::kSkipped, fmt::format("{}: {}", what, text));
+  }
+}
+
 void CheckDaemon(Examination& e) {
   const fs::path socket = e.config.api.socket;
   ApiClient client(socket, e.options.timeout);
@@ -82,11 +98,15 @@ void CheckDaemon(Examination& e) {
     const std::string text = fmt::format("omnihdrd {} answers on {}: {}",
                                          status->value("version", "?"), socket.string(), state);
     const std::string reason = status->value("reason", "");
-    if (reason.empty()) {
-      e.Good("daemon", text);
+    const std::string remedy = status->value("remedy", "");
+    if (state == "waiting-for-camera" || state == "degraded" || state == "storage-full" ||
+        state == "fault") {
+      e.Warning("daemon", fmt::format("{}: {}", text, reason),
+                remedy.empty() ? "omnihdr status; omnihdr watch" : remedy);
     } else {
-      e.Warning("daemon", fmt::format("{}: {}", text, reason), "omnihdr status; omnihdr watch");
+      e.Good("daemon", reason.empty() ? text : fmt::format("{}: {}", text, reason));
     }
+    CheckOrientation(e, *status);
     return;
   }
   const std::vector<pid_t> running = e.machine.Processes("omnihdrd");

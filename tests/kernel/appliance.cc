@@ -22,10 +22,10 @@ void ApplianceTest::Launch(const Setup& setup) {
       "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n"
       "[camera]\nreconnect_s = 0.2\nframe_timeout_s = 20.0\n{}\n[bracket]\n{}\n"
       "[trigger]\narmed_at_start = true\n{}\n"
-      "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n"
+      "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n{}\n"
       "[modbus.server]\n{}\n[pipeline]\n{}\n",
       setup.camera, setup.exposures, setup.trigger.empty() ? TriggerLine() : setup.trigger,
-      chip_.label(),
+      chip_.label(), setup.outputs,
       setup.modbus_server.empty() ? fmt::format("connection = \"tcp\"\nport = {}", kModbusPort)
                                   : setup.modbus_server,
       setup.pipeline);

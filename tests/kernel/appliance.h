@@ -25,6 +25,7 @@ inline constexpr int kTrigger = 0;
 inline constexpr int kReady = 1;
 inline constexpr int kFault = 2;
 inline constexpr int kWheel = 3;
+inline constexpr int kCamera = 4;
 
 // Registers of drivers/modbus/README.md.
 inline constexpr std::size_t kMapVersion = 0;
@@ -48,6 +49,7 @@ class ApplianceTest : public ::testing::Test {
     std::string trigger;        // empty: the edges of a line
     std::string modbus_server;  // empty: TCP
     std::string pipeline = "enabled = false\n";
+    std::string outputs;  // further lines of [gpio.outputs]
   };
   void Launch(const Setup& setup);
   // Launched, and ready.
@@ -91,7 +93,7 @@ class ApplianceTest : public ::testing::Test {
 
   const SystemClock clock_;
   testing::TemporaryDirectory directory_;
-  SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out", "wheel-in"}};
+  SimChip chip_{"vehicle", {"trigger-in", "ready-out", "fault-out", "wheel-in", "camera-out"}};
   std::unique_ptr<integration::Program> daemon_;
   std::uint64_t edges_ = 0;
 };

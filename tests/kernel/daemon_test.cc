@@ -6,8 +6,10 @@
 
 #include <fstream>
 #include <memory>
+#include <thread>
 
 #include "core/image/image_io.h"
+#include "daemon/api/client.h"
 #include "tests/emulators/iidc_link.h"
 #include "tests/emulators/iidc_usb_function.h"
 #include "tests/emulators/vhci_usb.h"
@@ -18,6 +20,7 @@ namespace {
 
 using integration::Eventually;
 using kernel::kArmed;
+using kernel::kCamera;
 using kernel::kCapturing;
 using kernel::kFault;
 using kernel::kLost;
@@ -178,6 +181,51 @@ TEST_F(Appliance, ACameraOnTheTriggersWireIsObservedAndEveryEdgeAndFrameIsAccoun
   // Three to fit its clock, and then pulses only: nothing was commanded.
   EXPECT_EQ(device_->trigger_times().size(), 3U + 8U);
   Stop();
+}
+
+TEST_F(Appliance, ALineOfTheChipReleasesTheCameraAtEveryTrigger) {
+  Setup setup = MakeSetup("[0.001, 0.004, 0.016]", "source = \"software\"");
+  setup.outputs =
+      "camera_trigger = \"camera-out\"\ncamera_trigger_s = 0.2\n"
+      "camera_trigger_spacing_s = 0.5\n";
+  ApplianceTest::Launch(setup);
+  ASSERT_TRUE(Becomes("armed")) << daemon_->Log();
+  ASSERT_TRUE(LinksAreUp()) << daemon_->Log();
+  EXPECT_FALSE(chip_.IsHigh(kCamera));
+  // The wire from the line to the camera's input.
+  std::vector<HostTime> rises;
+  std::jthread wire([&](const std::stop_token& stop) {
+    bool high = false;
+    while (!stop.stop_requested()) {
+      const bool before = std::exchange(high, chip_.IsHigh(kCamera));
+      if (high && !before) {
+        device_->Pulse();
+        rises.push_back(clock_.Now());
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  });
+  for (int i = 0; i < 6; ++i) {
+    ++edges_;
+    EXPECT_TRUE(ApiClient(path("api.sock")).Post("/v1/trigger")) << i;
+    ASSERT_TRUE(Answered()) << i << "\n" << daemon_->Log();
+  }
+  EXPECT_TRUE(Eventually([&] { return !chip_.IsHigh(kCamera); }));
+  wire.request_stop();
+  wire.join();
+  const std::vector<FrameRecord> journal = Journal();
+  ASSERT_EQ(journal.size(), 6U);
+  const double ladder[] = {0.001, 0.004, 0.016};
+  for (std::size_t i = 0; i < journal.size(); ++i) ExpectFrame(journal[i], ladder[i % 3]);
+  // The camera exposed at the pulses and at nothing else, and they keep their distance.
+  ASSERT_EQ(rises.size(), 6U);
+  EXPECT_EQ(device_->trigger_times().size(), 6U);
+  for (std::size_t i = 1; i < rises.size(); ++i) {
+    EXPECT_GT(rises[i] - rises[i - 1], std::chrono::milliseconds(400)) << i;
+  }
+  EXPECT_TRUE(StatusHolds([](const auto& s) { return s["camera"]["pulsed"] == true; }));
+  Stop();
+  EXPECT_FALSE(chip_.IsHigh(kCamera));
 }
 
 TEST_F(Appliance, PulsesOfAWheelAreWayAndMarksOnItAreFrames) {

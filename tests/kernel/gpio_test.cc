@@ -10,6 +10,7 @@
 #include <optional>
 #include <thread>
 
+#include "drivers/gpio/camera_trigger.h"
 #include "drivers/gpio/inputs.h"
 #include "drivers/gpio/lines.h"
 #include "drivers/gpio/outputs.h"
@@ -29,6 +30,7 @@ constexpr int kReady = 2;
 constexpr int kBusy = 3;
 constexpr int kFault = 4;
 constexpr int kStrobe = 5;
+constexpr int kCamera = 6;
 constexpr int kPatienceMs = 30'000;
 
 class SimulatedChip : public ::testing::Test {
@@ -63,8 +65,9 @@ class SimulatedChip : public ::testing::Test {
   }
 
   const SystemClock clock_;
-  SimChip chip_{"trigger-board",
-                {"trigger-in", "wheel-in", "ready-out", "busy-out", "fault-out", "strobe-out"}};
+  SimChip chip_{
+      "trigger-board",
+      {"trigger-in", "wheel-in", "ready-out", "busy-out", "fault-out", "strobe-out", "camera-out"}};
   std::unique_ptr<gpio::Lines> lines_ = gpio::MakeLines();
 };
 
@@ -80,7 +83,7 @@ TEST_F(SimulatedChip, ALineIsFoundByLabelOrNameOfItsChipAndByItsNameOrOffset) {
   gpio::EdgeRequest request;
   request.name = {chip_.label(), "no-such-line"};
   EXPECT_EQ(lines_->RequestEdges(request).error().kind, ErrorKind::kUnavailable);
-  request.name = {chip_.label(), "6"};
+  request.name = {chip_.label(), "7"};
   EXPECT_EQ(lines_->RequestEdges(request).error().kind, ErrorKind::kUnavailable);
 }
 
@@ -206,6 +209,25 @@ TEST_F(SimulatedChip, AChipThatGoesAndReturnsIsOpenedAgain) {
   ASSERT_TRUE(Eventually([&] { return inputs.report().up; })) << inputs.report().problem;
   chip_.Pulse(kTrigger);
   EXPECT_TRUE(Eventually([&] { return inputs.trigger()->Poll()->has_value(); }));
+}
+
+TEST_F(SimulatedChip, APulseThatReleasesACameraStandsOnItsLineAndEnds) {
+  for (const bool active_low : {false, true}) {
+    gpio::CameraTriggerOptions options;
+    options.name = {chip_.label(), "camera-out"};
+    options.active_low = active_low;
+    options.pulse_s = 0.5;
+    options.spacing_s = 1.0;
+    gpio::CameraTrigger trigger(options, gpio::MakeLines(), clock_);
+    ASSERT_TRUE(trigger.Start());
+    ASSERT_TRUE(Eventually([&] { return trigger.report().up; })) << trigger.report().problem;
+    EXPECT_EQ(chip_.IsHigh(kCamera), active_low);
+    ASSERT_TRUE(trigger.Release(Nanoseconds(0)));
+    EXPECT_EQ(chip_.IsHigh(kCamera), !active_low);
+    EXPECT_EQ(trigger.Release(Nanoseconds(0)).error().kind, ErrorKind::kTemporary);
+    EXPECT_TRUE(Eventually([&] { return chip_.IsHigh(kCamera) == active_low; }));
+    EXPECT_TRUE(trigger.Release(std::chrono::seconds(30)));
+  }
 }
 
 TEST_F(SimulatedChip, LampsAndStrobeStandOnTheLines) {

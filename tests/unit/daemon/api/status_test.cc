@@ -176,6 +176,28 @@ TEST(Status, EachStagesLatencyIsAHistogramThatPrometheusReads) {
   EXPECT_TRUE(StatusToJson(s)["latency"]["trigger_to_view"]["mean_s"].is_null());
 }
 
+TEST(Status, AHeadWhoseSensorsContradictItsRigFileIsNamedAndMeasured) {
+  StatusReport s = Busy();
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), Not(HasSubstr("orientation")));
+  EXPECT_THAT(StatusToMetrics(s), Not(HasSubstr("omnihdr_orientation")));
+  s.orientation = {"contradicted", "they would agree if it were upside down", 0.125, 3, 4};
+  const auto json = StatusToJson(s);
+  EXPECT_EQ(json["orientation"]["what"], "contradicted");
+  EXPECT_EQ(json["orientation"]["frames"], 3);
+  EXPECT_THAT(StatusForPeople(json),
+              HasSubstr("contradicted (they would agree if it were upside down)"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_orientation_contradicted 1\n"));
+  EXPECT_THAT(StatusToMetrics(s), HasSubstr("omnihdr_orientation_agreement 0.125\n"));
+}
+
+TEST(Status, ACameraThatIsReleasedByItsWireSaysSo) {
+  StatusReport s = Busy();
+  EXPECT_EQ(StatusToJson(s)["camera"]["pulsed"], false);
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), Not(HasSubstr("released by pulses")));
+  s.camera_pulsed = true;
+  EXPECT_THAT(StatusForPeople(StatusToJson(s)), HasSubstr(", released by pulses on its wire"));
+}
+
 TEST(Status, EveryMetricHasHelpAndTypeOnceAndStandsInTheList) {
   StatusReport s = Busy();
   s.storage.minutes_left = 1.0;
@@ -183,6 +205,7 @@ TEST(Status, EveryMetricHasHelpAndTypeOnceAndStandsInTheList) {
   s.storage.total_bytes = 1;
   s.camera_abilities.emplace();
   s.trigger_wired = true;
+  s.orientation.what = "agrees";
   s.utc.error_s = 0.001;
   s.last_frame_age_s = 1.0;
   s.gnss.emplace();

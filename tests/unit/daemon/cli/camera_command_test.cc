@@ -19,6 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 class CameraCommand : public ::testing::Test {
  protected:
@@ -48,6 +49,33 @@ TEST_F(CameraCommand, InfoSaysWhatTheCameraCanDo) {
   EXPECT_EQ(info["layout"], "panorama");
   EXPECT_GT(info["exposure_s"][1].get<double>(), info["exposure_s"][0].get<double>());
   EXPECT_EQ(info["proof"], "embedded");
+}
+
+TEST_F(CameraCommand, InfoForPeopleHasNoJsonInIt) {
+  const Result<int> code = Run({"info"});
+  ASSERT_TRUE(code) << code.error().message;
+  EXPECT_THAT(printed_, HasSubstr("1e-06 to 10\n"));
+  EXPECT_THAT(printed_, HasSubstr("0 (any exposure within the limits)"));
+  EXPECT_THAT(printed_, HasSubstr("simulation.scene"));
+  EXPECT_THAT(printed_, Not(HasSubstr("{")));
+}
+
+TEST_F(CameraCommand, ACameraWithoutACableIsNotAskedToBeUnplugged) {
+  const Result<int> code = Run({"test", "--unplug"});
+  ASSERT_FALSE(code);
+  EXPECT_EQ(code.error().kind, ErrorKind::kUsage);
+  EXPECT_THAT(code.error().message, HasSubstr("a sim camera has no cable"));
+}
+
+TEST_F(CameraCommand, ALineThatReleasesTheCameraAndIsNotThereIsNamed) {
+  ASSERT_TRUE(WriteFileAtomic(config(),
+                              "[camera]\ndriver = \"sim\"\n[gpio.outputs]\n"
+                              "chip = \"no-such-chip\"\ncamera_trigger = \"5\"\n"));
+  const Result<int> code = Run({"grab"});
+  ASSERT_FALSE(code);
+  EXPECT_EQ(code.error().kind, ErrorKind::kUnavailable);
+  EXPECT_THAT(code.error().message, HasSubstr("gpio.outputs.camera_trigger: "));
+  EXPECT_THAT(code.error().message, HasSubstr("no-such-chip"));
 }
 
 TEST_F(CameraCommand, GrabWritesPicturesAndTheirProvedExposures) {

@@ -97,6 +97,35 @@ TEST(ConfigVehicle, WhatATriggerNeedsIsAskedFor) {
               HasSubstr("line 1 twice"));
 }
 
+TEST(ConfigVehicle, ALineThatReleasesTheCameraFitsLinesCameraAndTriggers) {
+  const std::string line = "[gpio.outputs]\nchip = 'c'\ncamera_trigger = '5'\n";
+  EXPECT_EQ(Problems(line), "");
+  EXPECT_EQ(Problems(line + "[camera]\ndriver = 'iidc'\niidc.rig = 'r.toml'\n"), "");
+  EXPECT_EQ(ParseConfig(line, "v.toml").config.gpio.CameraTrigger().name.Text(), "c line 5");
+  EXPECT_THAT(Problems("[gpio.outputs]\ncamera_trigger = '5'\n"), HasSubstr("outputs.chip: \"\""));
+  EXPECT_THAT(
+      Problems(line + "camera_trigger_s = 0.05\n"),
+      HasSubstr("v.toml:3: gpio: outputs.camera_trigger_spacing_s: 0.02: expected more than "
+                "the pulse, outputs.camera_trigger_s = 0.05"));
+  EXPECT_THAT(Problems(line + "strobe = '5'\n"),
+              HasSubstr("gpio.outputs.camera_trigger: \"5\", expected another line than "
+                        "gpio.outputs.strobe"));
+  EXPECT_THAT(Problems(line + "[gpio.trigger]\nchip = 'c'\nline = '5'\n"),
+              HasSubstr("expected another line than gpio.trigger.line"));
+  EXPECT_EQ(Problems(line + "[gpio.trigger]\nchip = 'd'\nline = '5'\n"), "");
+  EXPECT_THAT(Problems(line + "[gpio.wheel]\nchip = 'c'\nline = '5'\n"),
+              HasSubstr("expected another line than gpio.wheel.line"));
+  EXPECT_THAT(Problems(line + "[camera]\ndriver = 'v4l2'\n"),
+              HasSubstr("camera.driver: \"v4l2\", expected \"iidc\" or \"sim\""));
+  EXPECT_THAT(Problems(line + "[camera]\ndriver = 'iidc'\niidc = {rig = 'r', trigger_mode = 15}\n"),
+              HasSubstr("camera.iidc.trigger_mode: 15, expected 0 or 14"));
+  EXPECT_THAT(Problems(line + "[trigger]\nsource = 'timer'\nwired = true\n"),
+              HasSubstr("trigger.wired: true, expected false with gpio.outputs.camera_trigger"));
+  EXPECT_THAT(Problems(line + "[trigger]\nsource = 'timer'\ninterval_s = 0.01\n"),
+              HasSubstr("trigger.interval_s: 0.01, expected at least "
+                        "gpio.outputs.camera_trigger_spacing_s, 0.02"));
+}
+
 TEST(ConfigVehicle, WrongValuesAreNamedWithWhatIsExpected) {
   EXPECT_THAT(Problems("gnss.address = 'localhost'"),
               HasSubstr("gnss.address: \"localhost\", expected a numeric IPv4 or IPv6 address"));

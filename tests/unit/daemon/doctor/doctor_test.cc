@@ -18,6 +18,7 @@
 
 #include "core/base/file.h"
 #include "core/base/tcp.h"
+#include "daemon/api/server.h"
 #include "daemon/doctor/machine.h"
 #include "tests/drivers/modbus/slave.h"
 #include "tests/support/small_session.h"
@@ -554,6 +555,40 @@ TEST_F(Doctor, ASocketThatDoesNotAnswerIsAProblem) {
       << Told(Examine());
   listener.Close();
   EXPECT_THAT(Examine(), Found(Verdict::kSkipped, "daemon", "left from an earlier run"));
+}
+
+// A daemon that says what a test puts in.
+class SpokenStatus final : public ApiBackend {
+ public:
+  Result<StatusReport> GetStatus() override { return status; }
+  ApiReply Arm() override { return {}; }
+  ApiReply Disarm() override { return {}; }
+  ApiReply Trigger() override { return {}; }
+  ApiReply Finish() override { return {}; }
+  ApiReply Stop(bool) override { return {}; }
+  ApiReply Reload() override { return {}; }
+  StatusReport status;
+};
+
+TEST_F(Doctor, ADaemonThatIsWellIsGoodAndOneThatIsNotSaysWhatToDo) {
+  SpokenStatus daemon;
+  EventHub hub(2, 4);
+  ApiServerOptions options;
+  options.socket = path() / "api.sock";
+  const auto server = ApiServer::Listen(options, daemon, hub);
+  ASSERT_TRUE(server) << server.error().message;
+  daemon.status.state = {CaptureState::kArmed, "every trigger takes a picture", "nothing to do"};
+  EXPECT_THAT(Examine(), Found(Verdict::kGood, "daemon", "armed"));
+  EXPECT_THAT(Examine(), Not(Contains(Field(&Diagnosis::check, "orientation"))));
+  daemon.status.state = {CaptureState::kDegraded, "the reason", "the remedy"};
+  EXPECT_THAT(Examine(), Contains(AllOf(Field(&Diagnosis::check, "daemon"),
+                                        Field(&Diagnosis::verdict, Verdict::kWarning),
+                                        Field(&Diagnosis::remedy, "the remedy"))));
+  daemon.status.orientation = {"contradicted", "they would agree upside down", 0.1, 3, 3};
+  EXPECT_THAT(Examine(),
+              Problem("orientation", "they would agree upside down", "omnihdr calibrate verify"));
+  daemon.status.orientation.what = "agrees";
+  EXPECT_THAT(Examine(), Found(Verdict::kGood, "orientation", "they would"));
 }
 
 TEST(DoctorMachine, TheDiskIsMeasuredAndLeftAsItWas) {
