@@ -260,6 +260,8 @@ void App::StartStages() {
   }
 }
 
+void App::TellPlan() { parts_.camera->Plan({controller_->plan().Turn(), config_.trigger.burst}); }
+
 void App::PrepareNext() { parts_.camera->Prepare(controller_->upcoming().exposure); }
 
 void App::StartSessionStages() {

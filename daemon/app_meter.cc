@@ -135,6 +135,7 @@ Result<bool> App::AdoptBracket(const std::vector<ExposureTime>& exposures, nlohm
   OMNIHDR_TRY(WriteFileAtomic(open->directory / "session.json", FormatSessionInfo(info)));
   std::vector<std::string> changes = plan.changes();
   OMNIHDR_TRY(controller_->SetPlan(std::move(plan)));
+  TellPlan();
   std::lock_guard lock(mutex_);
   open->info = info;
   if (camera_session_) {

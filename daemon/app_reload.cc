@@ -144,6 +144,7 @@ Status App::ChangeBracket(const BracketConfig& bracket) {
     metered_.reset();  // what is asked for now is in force
   }
   OMNIHDR_TRY(controller_->SetPlan(std::move(plan)));
+  TellPlan();
   // The next pulse of its wire finds what the camera has been told before.
   if (config_.trigger.wired) PrepareNext();
   return {};

@@ -174,6 +174,7 @@ Status App::OnCameraOpened(const CameraInfo& info) {
   tolerance.relative = config_.camera.exposure_tolerance;
   tolerance.quantum_s = info.exposure_quantum_s;
   controller_->SetCamera(std::move(*plan), info.description, tolerance);
+  TellPlan();
   return {};
 }
 

@@ -36,6 +36,18 @@ iidc::Coding Coding(IidcCoding coding) {
   return iidc::Coding::kRaw8;
 }
 
+iidc::CycleUse CycleUse(IidcCycle use) {
+  switch (use) {
+    case IidcCycle::kAuto:
+      return iidc::CycleUse::kAuto;
+    case IidcCycle::kOff:
+      return iidc::CycleUse::kOff;
+    case IidcCycle::kOn:
+      return iidc::CycleUse::kOn;
+  }
+  return iidc::CycleUse::kAuto;
+}
+
 CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired,
                               std::shared_ptr<CameraRelease> release) {
   const IidcCameraConfig& from = config.iidc;
@@ -57,6 +69,7 @@ CameraOptions MakeIidcOptions(const CameraConfig& config, bool wired,
   options.trigger_input = from.trigger_input;
   options.trigger_active_low = from.trigger_active_low;
   options.settle_frames = from.settle_frames;
+  options.exposure_cycle = CycleUse(from.exposure_cycle);
   options.white_balance_blue = from.white_balance_blue;
   options.white_balance_red = from.white_balance_red;
   options.usb_recording = from.usb_recording;

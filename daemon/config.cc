@@ -138,6 +138,11 @@ class Loader {
       Problem(line_of("camera.driver"), "camera.iidc.rig",
               "\"\", expected the rig file of the camera's head with camera.driver = \"iidc\"");
     }
+    if (config.camera.iidc.exposure_cycle == IidcCycle::kOn &&
+        config.camera.iidc.format == IidcFormat::kJpeg) {
+      Problem(line_of("camera.iidc.exposure_cycle"), "camera.iidc.exposure_cycle",
+              "\"on\", expected \"auto\" or \"off\" with camera.iidc.format = \"jpeg\"");
+    }
     if (config.camera.iidc.bus == IidcBus::kFirewire && !config.camera.iidc.usb_recording.empty()) {
       Problem(line_of("camera.iidc.bus"), "camera.iidc.usb_recording",
               "set, expected \"\" with camera.iidc.bus = \"firewire\"");
@@ -470,6 +475,18 @@ std::string_view ToString(CameraDriver value) {
       return "iidc";
     case CameraDriver::kV4l2:
       return "v4l2";
+  }
+  return "?";
+}
+
+std::string_view ToString(IidcCycle value) {
+  switch (value) {
+    case IidcCycle::kAuto:
+      return "auto";
+    case IidcCycle::kOff:
+      return "off";
+    case IidcCycle::kOn:
+      return "on";
   }
   return "?";
 }

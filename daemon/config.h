@@ -39,6 +39,7 @@ enum class SimLayout { kPanorama, kRig };
 enum class IidcFormat { kRaw, kJpeg };
 enum class IidcBus { kUsb, kFirewire };
 enum class IidcCoding { kRaw8, kMono8, kRaw16, kMono16 };
+enum class IidcCycle { kAuto, kOff, kOn };
 enum class TriggerKind { kSoftware, kTimer, kDistance, kGpio, kReplay };
 enum class OdometerKind { kSim, kWheel, kModbus };
 enum class Metering { kOff, kReport, kAdopt };
@@ -58,6 +59,7 @@ std::string_view ToString(IidcFormat value);
 std::string_view ToString(IidcBus value);
 std::string_view ToString(Metering value);
 std::string_view ToString(IidcCoding value);
+std::string_view ToString(IidcCycle value);
 std::string_view ToString(TriggerKind value);
 std::string_view ToString(OdometerKind value);
 std::string_view ToString(LogLevel value);
@@ -123,7 +125,8 @@ struct IidcCameraConfig {
   int trigger_mode = 0;   // 0, 14 or 15
   int trigger_input = 0;  // of a wired camera, 0 to 3
   bool trigger_active_low = false;
-  int settle_frames = -1;       // thrown away after a change of exposure; -1 = as the model needs
+  int settle_frames = -1;  // thrown away after a change of exposure; -1 = as the model needs
+  IidcCycle exposure_cycle = IidcCycle::kAuto;
   int white_balance_blue = -1;  // register values; -1 = as the camera has them
   int white_balance_red = -1;
   std::string usb_recording;  // file for the camera's USB traffic; empty = none

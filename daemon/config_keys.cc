@@ -343,6 +343,9 @@ std::vector<ConfigKey> MakeKeys() {
   add(Switch("camera.iidc.trigger_active_low", OMNIHDR_MEMBER(camera.iidc.trigger_active_low)));
   add(Whole("camera.iidc.settle_frames", "a whole number", -1, 8,
             OMNIHDR_MEMBER(camera.iidc.settle_frames)));
+  add(Choice("camera.iidc.exposure_cycle",
+             std::vector{IidcCycle::kAuto, IidcCycle::kOff, IidcCycle::kOn},
+             OMNIHDR_MEMBER(camera.iidc.exposure_cycle)));
   add(Whole("camera.iidc.white_balance_blue", "a register value", -1, 4095,
             OMNIHDR_MEMBER(camera.iidc.white_balance_blue)));
   add(Whole("camera.iidc.white_balance_red", "a register value", -1, 4095,

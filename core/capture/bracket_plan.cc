@@ -178,14 +178,21 @@ Result<BracketPlan> BracketPlan::Make(const BracketOptions& options, const Expos
   return plan;
 }
 
+std::uint64_t BracketPlan::Period() const {
+  const auto count = static_cast<std::uint64_t>(exposures_.size());
+  return order_ == BracketOrder::kTriangle && count > 1 ? 2 * (count - 1) : count;
+}
+
 int BracketPlan::StepForTrigger(TriggerId trigger) const {
   const auto count = static_cast<std::uint64_t>(exposures_.size());
-  if (order_ == BracketOrder::kTriangle && count > 1) {
-    const std::uint64_t period = 2 * (count - 1);
-    const std::uint64_t phase = Value(trigger) % period;
-    return static_cast<int>(phase < count ? phase : period - phase);
-  }
-  return static_cast<int>(Value(trigger) % count);
+  const std::uint64_t phase = Value(trigger) % Period();
+  return static_cast<int>(phase < count ? phase : Period() - phase);
+}
+
+std::vector<Exposure> BracketPlan::Turn() const {
+  std::vector<Exposure> turn;
+  for (std::uint64_t i = 0; i < Period(); ++i) turn.push_back(ForTrigger(TriggerId{i}));
+  return turn;
 }
 
 Exposure BracketPlan::ForTrigger(TriggerId trigger) const {

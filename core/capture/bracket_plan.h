@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 #include <vector>
 
@@ -71,6 +72,10 @@ class BracketPlan {
   int StepForTrigger(TriggerId trigger) const;
   // Trigger number divided by frames_per_position.
   PositionId PositionForTrigger(TriggerId trigger) const;
+
+  // Triggers after which the exposures begin anew, and the exposures until then.
+  std::uint64_t Period() const;
+  std::vector<Exposure> Turn() const;
 
   const std::vector<ExposureTime>& exposures() const { return exposures_; }
   BracketOrder order() const { return order_; }

@@ -377,7 +377,8 @@ void CaptureController::TakeFrame(CameraFrame frame) {
   if (status == FrameStatus::kOk) {
     const ExposureCheck check =
         VerifyExposure(request->exposure, frame.measured_exposure, frame.proof, options_.tolerance);
-    if (!check.usable && !(frame.wired && TakeAsAnotherStep(*request, frame))) {
+    const bool own_choice = frame.wired || (frame.cycled && !options_.burst);
+    if (!check.usable && !(own_choice && TakeAsAnotherStep(*request, frame))) {
       if (TakeAgain(*request)) {
         CommandWaiting();
         return;

@@ -125,7 +125,8 @@ struct AcceptedTrigger {
 // edge_patience gets a trigger of its own, as do edges that the source knows to have lost. Nobody
 // chooses when such a camera exposes, so its exposure is proved against every step of the bracket:
 // one of another step than planned is a good picture of that step, and the planned one is taken
-// again as above.
+// again as above. So is a frame of a cycle of the camera's own (CameraFrame::cycled), unless it is
+// of a burst; a wired camera with one goes on behind it whatever is planned, and the plan follows.
 class CaptureController {
  public:
   // Commands the camera; same law and errors as Camera::Trigger, and kCannotCreate when there is no
@@ -209,6 +210,7 @@ class CaptureController {
   void TakePaired(CameraFrame frame, const EdgePairing::Match& match, std::uint64_t gap);
   void TakeWithoutEdge(CameraFrame frame);
   void GiveUpWaitingFrames(HostTime until);
+  void FollowCycle(const ExposureRequest& request, int step);
   bool TakeAsAnotherStep(const ExposureRequest& request, const CameraFrame& frame);
   HostTime FrameDeadline(const ExposureRequest& request) const;
   static MissReason ReasonOf(ErrorKind refusal);

@@ -136,6 +136,18 @@ void CaptureController::TakeWithoutEdge(CameraFrame frame) {
   TakeFrame(std::move(frame));
 }
 
+// The next pulse takes the step behind this one in the camera's cycle: so does the plan.
+void CaptureController::FollowCycle(const ExposureRequest& request, int step) {
+  const Planned* planned = FindPlanned(request.trigger);
+  // One before it has put the plan off already.
+  if (planned == nullptr || planned->retakes != retakes_) return;
+  for (std::uint64_t back = 1; back < plan_.Period() && back <= planned->index; ++back) {
+    if (plan_.StepForTrigger(TriggerId{planned->index - back}) != step) continue;
+    retakes_ += back;
+    return;
+  }
+}
+
 bool CaptureController::TakeAsAnotherStep(const ExposureRequest& request,
                                           const CameraFrame& frame) {
   const std::vector<ExposureTime>& steps = plan_.exposures();
@@ -145,8 +157,12 @@ bool CaptureController::TakeAsAnotherStep(const ExposureRequest& request,
              .usable) {
       continue;
     }
-    // Its own step is due still.
-    [[maybe_unused]] const bool again = TakeAgain(request);
+    if (frame.wired && frame.cycled) {
+      FollowCycle(request, static_cast<int>(step));
+    } else {
+      // Its own step is due still.
+      [[maybe_unused]] const bool again = TakeAgain(request);
+    }
     if (Planned* planned = FindPlanned(request.trigger)) planned->step = static_cast<int>(step);
     return true;
   }

@@ -49,6 +49,14 @@ struct ExposureRequest {
   std::string unseen_edge;
 };
 
+// What triggers will ask for until something else is told: these exposures in this order, again and
+// again.
+struct ExposurePlan {
+  std::vector<Exposure> order;  // one turn of it
+  // The exposures of one turn are asked for together, at one place: by triggers of one time.
+  bool burst = false;
+};
+
 // What a recording says about the moment of a frame: it is told on when the frame is replayed, for
 // the replaying host's own clock and place say nothing about it.
 struct RecordedMoment {
@@ -70,6 +78,8 @@ struct CameraFrame {
   TriggerId trigger{};
   // Of a wired camera's frames: the exposure began by itself then, and `trigger` says nothing.
   std::optional<WiredStart> wired;
+  // Its exposure was the one that was due in a cycle of the camera's own, whatever was asked for.
+  bool cycled = false;
   FrameStatus status = FrameStatus::kOk;  // kOk, kCorrupt or kMissedTrigger
   std::string detail;                     // when not ok
   // Corrupt, but some of a rig's sensors are whole: the pixels are kept beside the journal's line,
@@ -122,12 +132,19 @@ class Camera {
   // it does so in the pause before, and the trigger finds it set. A hint: another may be asked for.
   // A wired camera takes its next picture with it. Returns at once, says nothing. Any thread.
   virtual void Prepare(const Exposure& /*next*/) {}
+  // The exposures that are to come: a camera that can step through them by itself gets ready for
+  // it, in its own time. A hint, like Prepare: what a trigger asks for holds. Kept over Stop and
+  // Close. Returns at once. Any thread.
+  virtual void Plan(const ExposurePlan& /*plan*/) {}
   // The next picture, in trigger order; kTemporary when none came within the timeout; kUnavailable
   // when the device has gone and Open must be called again.
   virtual Result<CameraFrame> Receive(Nanoseconds timeout) = 0;
   // What the driver counts beyond the frames' own words: always the same names. Any thread, at any
   // time.
   virtual std::vector<CameraCounter> Counters() const { return {}; }
+  // What the driver has to tell people, a sentence each, the oldest first; nothing when all is
+  // told. At most a few are kept. Any thread, at any time.
+  virtual std::optional<std::string> TakeNote() { return std::nullopt; }
 };
 
 }  // namespace omnihdr

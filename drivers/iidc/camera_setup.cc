@@ -10,6 +10,7 @@
 #include "core/photometry/mosaic.h"
 #include "core/session/rig_file.h"
 #include "core/session/session_rig.h"
+#include "drivers/iidc/exposure_cycle.h"
 #include "drivers/iidc/find_camera.h"
 #include "drivers/iidc/frame_info.h"
 #include "drivers/iidc/registers.h"
@@ -22,7 +23,6 @@ namespace {
 using Json = nlohmann::json;
 
 constexpr std::uint32_t kTileMapping = 0x1040;
-constexpr std::uint32_t kHdrCycle = 0x1800;
 
 Status Reset(const Registers& registers) {
   OMNIHDR_ASSIGN(const std::uint32_t basic, registers.Read(kBasicInquiry, "BASIC_FUNC_INQ"));
@@ -35,9 +35,9 @@ Status Reset(const Registers& registers) {
   OMNIHDR_TRY(registers.Write(kInitialize, Bit(31), "INITIALIZE"));
   OMNIHDR_TRY(registers.WaitFor(kInitialize, Bit(31), 0, "INITIALIZE"));
   // Steps exposures by itself; not every camera has it.
-  const Result<std::uint32_t> hdr = registers.Read(kHdrCycle, "HDR_CONTROL");
+  const Result<std::uint32_t> hdr = registers.Read(kHdrControl, "HDR_CONTROL");
   if (hdr && (*hdr & (Bit(31) | Bit(25))) == (Bit(31) | Bit(25))) {
-    OMNIHDR_TRY(registers.WriteChecked(kHdrCycle, Bit(31), Bit(25), "HDR_CONTROL"));
+    OMNIHDR_TRY(SwitchExposureCycleOff(registers));
   }
   return {};
 }
@@ -79,6 +79,38 @@ Status CheckCompressible(const Rig& rig, const std::string& name) {
               name, rig.sensors.size(), ladybug::kSensors);
 }
 
+// Whether the camera's own exposure cycle may be used. Where the configuration asks for it, what is
+// missing is an error.
+Result<bool> MayCycle(const ReadyCamera& camera, const IidcCameraOptions& options) {
+  const CycleKnowledge known = camera.model ? camera.model->cycle : CycleKnowledge::kUnmeasured;
+  const bool asked = options.exposure_cycle == CycleUse::kOn;
+  if (!asked && (options.exposure_cycle == CycleUse::kOff || known != CycleKnowledge::kWorks)) {
+    return false;
+  }
+  const auto refuse = [&](std::string why) -> Result<bool> {
+    if (!asked) return false;
+    return Fail(ErrorKind::kConfig, "exposure_cycle: \"on\": {}", why);
+  };
+  if (known == CycleKnowledge::kNone) {
+    return refuse(fmt::format("the {} has no exposure cycle", camera.model->name));
+  }
+  if (options.format != PictureFormat::kRaw) {
+    return refuse("expected \"auto\" or \"off\" with format = \"jpeg\"");
+  }
+  Result<bool> has = HasExposureCycle(*camera.registers);
+  if (!has && has.error().kind != ErrorKind::kProtocol) return has;
+  if (!has || !*has) return refuse("HDR_CONTROL (0x1800): the camera has no exposure cycle");
+  const std::uint32_t needed =
+      kEmbeddedShutter | (camera.gain_range ? kEmbeddedGain : std::uint32_t{0});
+  if ((camera.picture.embedded & needed) != needed) {
+    return refuse(
+        fmt::format("FRAME_INFO (0x12f8): {:#05x}: expected a camera that writes shutter and gain "
+                    "into its frames: nothing else tells which step of the cycle one had",
+                    camera.picture.embedded));
+  }
+  return true;
+}
+
 // Stacked picture of a rig whose sensors are alike in width and colours.
 struct Stack {
   int width = 0;
@@ -113,6 +145,7 @@ std::string ExtraJson(const ReadyCamera& camera, const std::vector<SettledFeatur
                      {"packet_bytes", camera.format.packet_bytes},
                      {"frame_bytes", camera.format.frame_bytes},
                      {"trigger_mode", options.trigger_mode},
+                     {"exposure_cycle", camera.cycle},
                      {"embedded", fmt::format("{:#05x}", camera.picture.embedded)},
                      {"features", features}};
   return Json{{"iidc", iidc}}.dump();
@@ -258,6 +291,11 @@ Result<ReadyCamera> OpenAndSetUp(LinkFinder& finder, const IidcCameraOptions& op
     OMNIHDR_TRY(DisableEmbeddedInfo(registers));
   } else {
     OMNIHDR_ASSIGN(camera.picture.embedded, EnableEmbeddedInfo(registers));
+  }
+  OMNIHDR_ASSIGN(camera.cycle, MayCycle(camera, options));
+  if (camera.cycle && !options.release) {
+    OMNIHDR_ASSIGN(const TriggerInquiry inquiry, InquireTrigger(registers));
+    camera.series = (inquiry.modes & Bit(kSeriesMode)) != 0;
   }
   if (options.release) {
     OMNIHDR_TRY(SetUpWiredTrigger(registers, options.trigger_mode, options.trigger_input,

@@ -24,6 +24,10 @@ namespace omnihdr::iidc {
 enum class CameraBus { kUsb, kFirewire };
 std::string_view ToString(CameraBus bus);
 
+// Whether the camera's own exposure cycle is used: for models of which the table knows that it
+// works, never, or for any camera that has one.
+enum class CycleUse { kAuto, kOff, kOn };
+
 struct IidcCameraOptions {
   CameraBus bus = CameraBus::kUsb;
   // Which camera: its GUID (16 hexadecimal digits) or its serial number (decimal); empty = the only
@@ -47,6 +51,7 @@ struct IidcCameraOptions {
   bool trigger_active_low = false;
   // Pictures thrown away after every change of exposure; -1 = as the model table says.
   int settle_frames = -1;
+  CycleUse exposure_cycle = CycleUse::kAuto;
   int white_balance_blue = -1;  // -1 = as the camera has it
   int white_balance_red = -1;
   // Where the camera's USB traffic is recorded (drivers/usb/recording.h); empty = nowhere.
@@ -66,6 +71,8 @@ struct ReadyCamera {
   std::optional<Feature> gain;
   AbsoluteRange shutter_range;
   std::optional<AbsoluteRange> gain_range;
+  bool cycle = false;   // its own exposure cycle may be used
+  bool series = false;  // it has trigger mode 15
   Format7Setup format;
   PictureLayout picture;
   Rig rig;

@@ -54,6 +54,7 @@ Result<CameraInfo> IidcCamera::Open() {
   shutters_ = {};
   gains_ = {};
   in_force_.reset();
+  cycle_touched_ = false;
   last_counter_.reset();
   counter_ = 0;
   discarded_ = 0;
@@ -81,6 +82,10 @@ Status IidcCamera::Start() {
   OMNIHDR_ASSIGN(const bool may_start, handover_.MayStart());
   if (!may_start) return {};
   assembler_->Reset();
+  cycle_.reset();
+  series_.reset();
+  cycle_suspended_ = false;
+  AskForPlan();
   const auto begin = [this]() -> Status {
     OMNIHDR_TRY(StartLink());
     OMNIHDR_TRY(camera_->registers->WriteChecked(kIsoEnable, Bit(31), Bit(31), "ISO_EN"));
@@ -100,7 +105,10 @@ void IidcCamera::Stop() {
   handover_.Stop([this](bool gone) {
     // The ring goes on taking data until the camera has stopped sending. Whether it listened shows
     // when it is opened again.
-    if (!gone) static_cast<void>(camera_->registers->Write(kIsoEnable, 0, "ISO_EN"));
+    if (!gone) {
+      static_cast<void>(EndCycle());
+      static_cast<void>(camera_->registers->Write(kIsoEnable, 0, "ISO_EN"));
+    }
     camera_->link->StopStream();
   });
 }
@@ -125,22 +133,31 @@ IidcCamera::Counts IidcCamera::counts() const {
 
 std::vector<CameraCounter> IidcCamera::Counters() const {
   const Counts now = counts();
-  return {{"torn_frames", now.torn}, {"stray_frames", now.strays}, {"lost_triggers", now.lost}};
+  return {{"torn_frames", now.torn},
+          {"stray_frames", now.strays},
+          {"lost_triggers", now.lost},
+          {"cycle_frames", now.cycled},
+          {"cycle_discarded", now.cycle_discarded},
+          {"cycle_contradictions", now.cycle_contradictions}};
 }
 
 Status IidcCamera::RunShots(std::stop_token stop, Stage& stage) {
   while (!stop.stop_requested()) {
     stage.Progress();
+    if (Status planned = FollowPlan(stop);
+        !planned && planned.error().kind == ErrorKind::kUnavailable) {
+      handover_.GoAway(planned.error().message);
+      return {};
+    }
     const std::optional<ExposureRequest> request = handover_.Take(kIdleLook, stop);
     if (!request) {
       if (const std::optional<Exposure> next = handover_.TakeHint()) {
-        // Eight register accesses less between the next trigger and its exposure. What fails here
-        // is done again, and told, when the trigger comes.
-        if (!in_force_ || in_force_->asked != *next) static_cast<void>(SetExposure(*next));
+        // What fails here is done again, and told, when the trigger comes.
+        static_cast<void>(GetReady(*next, stop));
         continue;
       }
       // Nobody waits for anything: what comes now belongs to nobody, and a lost camera shows.
-      if (Status idle = DropStrays(); !idle) {
+      if (Status idle = Idle(); !idle) {
         handover_.GoAway(idle.error().message);
         return {};
       }
@@ -169,8 +186,38 @@ Status IidcCamera::RunShots(std::stop_token stop, Stage& stage) {
   return {};
 }
 
+Status IidcCamera::GetReady(const Exposure& next, const std::stop_token& stop) {
+  if (cycle_ && StepOf(next) != nullptr) {
+    if (cycle_->pictures == 0) OMNIHDR_TRY(Align(next, stop));
+    return {};
+  }
+  if (cycle_ || (IsPlanned(next) && FollowPlanAgain())) return {};
+  // Eight register accesses less between the next trigger and its exposure.
+  if (!in_force_ || in_force_->asked != next) OMNIHDR_TRY(SetExposure(next));
+  return {};
+}
+
+Status IidcCamera::Idle() {
+  if (series_ && !series_->over(clock_.Now())) return ReadSeries(Nanoseconds(0));
+  return DropStrays();
+}
+
 Result<std::optional<CameraFrame>> IidcCamera::TakePicture(const ExposureRequest& request,
                                                            std::stop_token stop) {
+  OMNIHDR_TRY(FollowPlan(stop));
+  if (cycle_ && StepOf(request.exposure) != nullptr) {
+    if (cycle_->pictures > 0) return TakeFromSeries(request, stop);
+    unreleased_.clear();
+    const Result<bool> due = Align(request.exposure, stop);
+    if (!due) {
+      if (unreleased_.empty()) return Forward(due.error());
+      return std::optional<CameraFrame>(Handover::Missed(request, unreleased_, counter_));
+    }
+    if (*due) return TakeStep(request, stop);
+  } else if (cycle_) {
+    cycle_suspended_ = true;
+  }
+  OMNIHDR_TRY(EndCycle());
   if (!in_force_ || in_force_->asked != request.exposure) {
     OMNIHDR_TRY(SetExposure(request.exposure).Context("set the exposure"));
   }
@@ -319,12 +366,17 @@ Status IidcCamera::RestartStream() {
 void IidcCamera::Prove(const EmbeddedInfo& info, CameraFrame& frame) const {
   Exposure measured = in_force_->measured;
   frame.proof = info.shutter ? ExposureProof::kEmbedded : ExposureProof::kReadback;
+  if (cycle_ && (!info.shutter || (camera_->gain_range && !info.gain))) {
+    // Nobody knows which of its steps the camera has taken.
+    frame.proof = ExposureProof::kNone;
+    return;
+  }
   // What an embedded word says; nothing when that is not known.
-  const auto meaning = [&frame](std::uint32_t word, const ExposureTable& table,
-                                std::uint32_t raw_in_force,
-                                double value_in_force) -> std::optional<double> {
+  const auto meaning = [this, &frame](std::uint32_t word, const ExposureTable& table,
+                                      std::uint32_t raw_in_force,
+                                      double value_in_force) -> std::optional<double> {
     const std::uint32_t raw = word & 0xFFF;
-    if (table.ambiguous(raw) && raw == raw_in_force) {
+    if (table.ambiguous(raw) && raw == raw_in_force && !cycle_) {
       // Several settings have this register value: it proves less than what was read back.
       frame.proof = ExposureProof::kReadback;
       return value_in_force;
@@ -368,7 +420,8 @@ std::uint64_t IidcCamera::Count(std::optional<std::uint32_t> embedded) {
   return counter_;
 }
 
-CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw) {
+CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw,
+                                  const CycleMark* mark, std::optional<std::uint64_t> counter) {
   CameraFrame frame;
   frame.trigger = request.trigger;
   if (raw.torn) {
@@ -385,7 +438,7 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
     Prove(info, frame);
   }
 
-  frame.camera_counter = Count(info.counter);
+  frame.camera_counter = counter ? *counter : Count(info.counter);
 
   const Nanoseconds exposure =
       FromSeconds(frame.measured_exposure.value_or(in_force_->measured).time.seconds());
@@ -404,10 +457,8 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
   frame.mid_exposure =
       std::clamp(start + exposure / 2, sent.before, std::max(sent.before, raw.arrived));
   frame.clock_jumps = camera_clock_.jumps() - jumps_before_;
-  frame.settings_readback_json =
-      fmt::format(R"({{"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
-                  in_force_->measured.time.seconds(), in_force_->measured.gain.value,
-                  in_force_->shutter_raw, in_force_->gain_raw);
+  frame.cycled = mark != nullptr;
+  frame.settings_readback_json = Readback(mark);
   const PictureLayout& layout = camera_->picture;
   Result<Pixels> picture = ReadPicture(std::move(raw.bytes), layout);
   if (!picture) {
@@ -418,6 +469,25 @@ CameraFrame IidcCamera::MakeFrame(const ExposureRequest& request, const Sent& se
   }
   frame.pixels = std::move(*picture);
   return frame;
+}
+
+std::string IidcCamera::Readback(const CycleMark* mark) const {
+  // Of the cycle's settings, those that the frame had: the one that was due is no fact.
+  const auto number = [](const std::optional<int>& step) {
+    return step ? fmt::format("{}", *step + 1) : std::string("null");
+  };
+  std::string cycle;
+  const InForce* settings = &*in_force_;
+  if (mark != nullptr) {
+    cycle = fmt::format(R"("cycle_step":{},"cycle_step_due":{})", number(mark->found),
+                        number(mark->due));
+    settings = FoundStep(*mark);
+    if (settings == nullptr) return fmt::format("{{{}}}", cycle);
+    cycle += ',';
+  }
+  return fmt::format(R"({{{}"exposure_s":{:.9g},"gain_db":{:.9g},"shutter_raw":{},"gain_raw":{}}})",
+                     cycle, settings->measured.time.seconds(), settings->measured.gain.value,
+                     settings->shutter_raw, settings->gain_raw);
 }
 
 std::unique_ptr<LinkFinder> MakeFinder(const IidcCameraOptions& options) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <deque>
 #include <memory>
@@ -14,6 +15,7 @@
 #include "drivers/handover/handover.h"
 #include "drivers/iidc/camera_clock.h"
 #include "drivers/iidc/camera_setup.h"
+#include "drivers/iidc/exposure_cycle.h"
 #include "drivers/iidc/exposure_table.h"
 #include "drivers/iidc/frame_assembler.h"
 #include "drivers/iidc/frame_info.h"
@@ -51,11 +53,16 @@ class IidcCamera final : public Camera {
   Status Trigger(const ExposureRequest& request) override;
   Result<CameraFrame> Receive(Nanoseconds timeout) override;
   void Prepare(const Exposure& next) override;
+  void Plan(const ExposurePlan& plan) override;
+  std::optional<std::string> TakeNote() override;
 
   struct Counts {
-    std::uint64_t torn = 0;    // frames with lost or surplus bytes
-    std::uint64_t strays = 0;  // frames that no trigger waited for
-    std::uint64_t lost = 0;    // triggers whose frame never came
+    std::uint64_t torn = 0;                  // frames with lost or surplus bytes
+    std::uint64_t strays = 0;                // frames that no trigger waited for
+    std::uint64_t lost = 0;                  // triggers whose frame never came
+    std::uint64_t cycled = 0;                // frames of the camera's own exposure cycle
+    std::uint64_t cycle_discarded = 0;       // pictures thrown away for it
+    std::uint64_t cycle_contradictions = 0;  // frames that had another of its steps than was due
   };
   Counts counts() const;
   std::vector<CameraCounter> Counters() const override;
@@ -76,7 +83,65 @@ class IidcCamera final : public Camera {
     std::string unreleased;  // why the wire gave no pulse; empty = it did
   };
 
+  struct CycleInForce {
+    std::array<InForce, kCycleSteps> steps;
+    CyclePhase phase;
+    int pictures = 0;     // that a trigger takes as a series; 0 = one
+    unsigned recent = 0;  // bit n: the frame n before the newest contradicted what was known
+  };
+  // What the cycle has to do with a frame.
+  struct CycleMark {
+    std::optional<int> due;    // the step that was expected
+    std::optional<int> found;  // that its words prove
+  };
+  // The pictures of one trigger in mode 15.
+  struct SeriesFrame {
+    RawFrame raw;
+    Sent sent;
+    CycleMark mark;
+  };
+  struct Series {
+    HostTime asked_at;  // trigger_time of the requests it serves
+    Sent sent;
+    int pictures = 0;
+    int came = 0;    // or are known to be lost
+    HostTime until;  // when the next one has come at the latest
+    std::deque<SeriesFrame> held;
+    std::vector<TriggerId> answered;
+    std::uint64_t gap = 0;  // frames lost since the last one delivered
+    bool over(HostTime now) const { return came >= pictures || now >= until; }
+  };
+
   Status RunShots(std::stop_token stop, Stage& stage);
+  Status GetReady(const Exposure& next, const std::stop_token& stop);
+  Status Idle();
+  // The camera's own exposure cycle (cycle_shots.cc).
+  Status FollowPlan(const std::stop_token& stop);
+  bool FollowPlanAgain();
+  void AskForPlan();
+  bool PlanIsNew() const;
+  bool IsPlanned(const Exposure& exposure) const;
+  Result<bool> LoadCycle(const ExposurePlan& plan, const std::stop_token& stop, std::string& why);
+  Result<bool> TrySteps(const std::stop_token& stop, std::string& why);
+  Result<bool> TrySeries(int pictures, const std::stop_token& stop);
+  Status EndCycle();
+  Status SetUpTrigger();
+  Status EndCycleIfSurprised();
+  const InForce* StepOf(const Exposure& exposure) const;
+  const InForce* FoundStep(const CycleMark& mark) const;  // null: its words prove none
+  std::optional<CycleWords> WordsOf(const EmbeddedInfo& info) const;
+  CycleMark MarkFrame(const RawFrame& raw, CyclePhase::Seen* seen = nullptr);
+  Result<bool> Align(const Exposure& exposure, const std::stop_token& stop);
+  Result<std::optional<CycleMark>> ThrowAwayAPicture(const std::stop_token& stop,
+                                                     CyclePhase::Seen* seen);
+  Result<std::optional<CameraFrame>> TakeStep(const ExposureRequest& request,
+                                              const std::stop_token& stop);
+  Result<std::optional<CameraFrame>> TakeFromSeries(const ExposureRequest& request,
+                                                    const std::stop_token& stop);
+  Status BeginSeries(HostTime asked_at, const std::stop_token& stop);
+  Status ReadSeries(Nanoseconds timeout);
+  std::optional<SeriesFrame> Claim(const std::optional<Exposure>& exposure);
+  void AddNote(std::string note);
   // Wired (wired_shots.cc).
   Status RunWired(std::stop_token stop, Stage& stage);
   Status WireUp(const std::stop_token& stop);
@@ -92,7 +157,11 @@ class IidcCamera final : public Camera {
   Sent PulseWire();
   std::optional<CameraFrame> NotReleased(const ExposureRequest& request, const Sent& sent);
   Result<std::optional<RawFrame>> WaitForFrame(const Sent& sent, std::stop_token stop);
-  CameraFrame MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw);
+  // `mark`: of a frame of the exposure cycle. `counter`: as told outside, when it is known already.
+  CameraFrame MakeFrame(const ExposureRequest& request, const Sent& sent, RawFrame raw,
+                        const CycleMark* mark = nullptr,
+                        std::optional<std::uint64_t> counter = std::nullopt);
+  std::string Readback(const CycleMark* mark) const;
   std::uint64_t Count(std::optional<std::uint32_t> embedded);
   void Prove(const EmbeddedInfo& info, CameraFrame& frame) const;
   bool IsStray(const RawFrame& frame, const Sent& sent);
@@ -119,6 +188,12 @@ class IidcCamera final : public Camera {
   std::uint32_t discarded_ = 0;  // since last_counter_
   int failures_ = 0;
 
+  std::optional<CycleInForce> cycle_;
+  std::optional<Series> series_;
+  bool cycle_touched_ = false;    // the camera may have its cycle on, or its series
+  std::string unreleased_;        // why the wire gave no pulse for the picture thrown away last
+  bool cycle_suspended_ = false;  // the plan fits, something else was asked for
+
   // Wired, of the worker.
   std::optional<Exposure> wanted_;
   std::uint64_t fitted_jumps_ = 0;
@@ -126,8 +201,12 @@ class IidcCamera final : public Camera {
 
   Handover handover_{"IIDC camera"};
   mutable std::mutex mutex_;
-  Counts counts_;               // with mutex_
-  std::deque<HostTime> edges_;  // with mutex_: told of by Trigger, the newest last
+  Counts counts_;                     // with mutex_
+  std::deque<HostTime> edges_;        // with mutex_: told of by Trigger, the newest last
+  std::optional<ExposurePlan> plan_;  // with mutex_
+  bool plan_is_new_ = false;          // with mutex_
+  std::deque<std::string> notes_;     // with mutex_
+  std::string last_note_;             // with mutex_: of this plan
 };
 
 // Where the options say that the camera is: this machine's USB, recorded or not, or its FireWire.

@@ -18,7 +18,12 @@ std::span<const CameraModel> CameraModels() {
       {.product = 0x300B, .name = "Flea3 FL3-U3-13E4M", .mono = true},
       {.product = 0x3103, .name = "Grasshopper3 GS3-U3-23S6M", .mono = true},
       {.product = 0x3300, .name = "Flea3 FL3-U3-13E4M", .mono = true},
-      {.product = 0x3800, .name = "Ladybug5 LD5-U3-51S5C-44", .deep = false, .sensors = 6},
+      // The exposure cycle is described for cameras of one sensor.
+      {.product = 0x3800,
+       .name = "Ladybug5 LD5-U3-51S5C-44",
+       .deep = false,
+       .cycle = CycleKnowledge::kNone,
+       .sensors = 6},
   };
   return kModels;
 }

@@ -29,6 +29,7 @@ inline constexpr std::uint32_t kIsoEnable = 0x614;
 inline constexpr std::uint32_t kVideoModeError = 0x628;
 inline constexpr std::uint32_t kSoftwareTrigger = 0x62C;
 inline constexpr std::uint32_t kFrameInfo = 0x12F8;
+inline constexpr std::uint32_t kHdrControl = 0x1800;
 inline constexpr std::uint32_t kSerialNumber = 0x1F20;
 inline constexpr std::uint32_t kHeadSerialNumber = 0x1F80;
 inline constexpr std::uint32_t kJpegControl = 0x1E80;

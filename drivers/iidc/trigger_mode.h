@@ -18,6 +18,7 @@ TriggerInquiry ParseTriggerInquiry(std::uint32_t quadlet);
 Result<TriggerInquiry> InquireTrigger(const Registers& registers);
 
 inline constexpr std::uint32_t kSoftwareSource = 7;
+inline constexpr int kSeriesMode = 15;  // several pictures a trigger
 
 // Software trigger in mode 0 (one picture, shutter register), 14 (the same, the next exposure may
 // overlap the readout) or 15 (`pictures` pictures a trigger). Read back. kConfig: the camera has no

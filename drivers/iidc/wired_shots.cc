@@ -43,7 +43,8 @@ Status IidcCamera::RunWired(std::stop_token stop, Stage& stage) {
     stage.Progress();
     Status turn = PrepareWired();
     if (turn) turn = ReadWired();
-    if (turn && camera_clock_.jumps() != fitted_jumps_) turn = WireUp(stop);
+    if (turn) turn = EndCycleIfSurprised();
+    if (turn && (camera_clock_.jumps() != fitted_jumps_ || PlanIsNew())) turn = WireUp(stop);
     if (turn) {
       failures_ = 0;
     } else if (turn.error().kind == ErrorKind::kUnavailable || ++failures_ >= kMaxFailures) {
@@ -55,8 +56,15 @@ Status IidcCamera::RunWired(std::stop_token stop, Stage& stage) {
 }
 
 Status IidcCamera::WireUp(const std::stop_token& stop) {
+  OMNIHDR_TRY(EndCycle());
   OMNIHDR_TRY(SetUpSoftwareTrigger(*camera_->registers, options_.trigger_mode));
   OMNIHDR_TRY(FitClock(stop).Context("fit the clock"));
+  if (camera_->cycle) {
+    AskForPlan();
+    OMNIHDR_TRY(FollowPlan(stop));
+    // What a change of the trigger does to it shows the first frame.
+    if (cycle_) cycle_->phase.Forget();
+  }
   return SetUpWiredTrigger(*camera_->registers, options_.trigger_mode, options_.trigger_input,
                            options_.trigger_active_low);
 }
@@ -97,6 +105,14 @@ Status IidcCamera::FitClock(const std::stop_token& stop) {
 
 Status IidcCamera::PrepareWired() {
   if (const std::optional<Exposure> next = handover_.TakeHint()) wanted_ = next;
+  if (wanted_ && cycle_) {
+    if (StepOf(*wanted_) != nullptr) return {};
+    cycle_suspended_ = true;
+    OMNIHDR_TRY(EndCycle());
+  } else if (wanted_ && cycle_suspended_ && IsPlanned(*wanted_)) {
+    FollowPlanAgain();
+    return {};
+  }
   if (!wanted_ || (in_force_ && in_force_->asked == *wanted_)) return {};
   std::optional<InForce> before = in_force_;
   Status set = SetExposure(*wanted_).Context("set the exposure");
@@ -136,6 +152,7 @@ std::optional<HostTime> IidcCamera::TakeEdge(HostTime near, Nanoseconds within) 
 void IidcCamera::DeliverWired(RawFrame raw) {
   if (!in_force_ || !handover_.HasRoom()) {
     // Not delivered, but counted by the camera: the next frame's counter shows the gap.
+    if (cycle_) cycle_->phase.Forget();
     std::lock_guard lock(mutex_);
     ++counts_.strays;
     return;
@@ -144,8 +161,21 @@ void IidcCamera::DeliverWired(RawFrame raw) {
   const HostTime arrived = raw.arrived;
   std::optional<std::int64_t> cycle_ns;
   if (facts && facts->info.cycle_time) cycle_ns = CycleTimeNanoseconds(*facts->info.cycle_time);
-  CameraFrame frame =
-      MakeFrame(ExposureRequest{}, Sent{arrived, arrived, false, {}}, std::move(raw));
+  std::optional<CycleMark> mark;
+  if (cycle_) {
+    // A step is left out with every frame that was lost on its way.
+    if (!facts || !facts->info.counter || !last_counter_ ||
+        *facts->info.counter - *last_counter_ - discarded_ != 1) {
+      cycle_->phase.Forget();
+    }
+    mark = MarkFrame(raw);
+    const InForce* found = FoundStep(*mark);
+    in_force_ = found != nullptr ? *found : cycle_->steps.front();
+    std::lock_guard lock(mutex_);
+    ++counts_.cycled;
+  }
+  CameraFrame frame = MakeFrame(ExposureRequest{}, Sent{arrived, arrived, false, {}},
+                                std::move(raw), mark ? &*mark : nullptr);
   const double seconds = frame.measured_exposure.value_or(in_force_->measured).time.seconds();
   const Nanoseconds exposure(std::llround(seconds * 1e9));
   WiredStart start{arrived - arrival_delay_ - exposure, kErrorByArrival};

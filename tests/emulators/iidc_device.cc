@@ -28,6 +28,9 @@ constexpr std::uint32_t kSoftwareTrigger = 0x62C;
 constexpr std::uint32_t kSoftwareSource = 7;
 constexpr std::uint32_t kIsoEnable = 0x614;
 constexpr std::uint32_t kInitialize = 0x000;
+constexpr std::uint32_t kCycleControl = 0x1800;
+constexpr std::uint32_t kCycleSteps = 0x1820;  // + 0x20 · step: shutter, and gain 4 behind it
+constexpr std::uint32_t kSeriesMode = 15;
 
 constexpr std::uint32_t kPresent = 1U << 31;
 constexpr std::uint32_t kAbsolute = 1U << 30;
@@ -128,7 +131,10 @@ std::uint32_t IidcDevice::GainRaw(double decibels) {
 }
 
 IidcDevice::IidcDevice(const IidcDeviceOptions& options, const Clock& clock)
-    : options_(options), clock_(clock), rom_(MakeRom(options.guid)) {
+    : options_(options),
+      clock_(clock),
+      rom_(MakeRom(options.guid)),
+      cycle_(options.cycle_start, options.exposure_cycle ? 2U : 0U) {
   PowerUp();
 }
 
@@ -180,8 +186,17 @@ void IidcDevice::ResetFeatures() {
   registers_[kGainAbsolute + 4] = FromFloat(24.0);
   registers_[kGainAbsolute + 8] = FromFloat(0.0);
   registers_[kTrigger - 0x300] = kPresent | 1U << 27 | 1U << 26 | 1U << 25 | 1U << 23 | 1U << 16 |
-                                 1U << 15 | 1U << 1 | 1U;  // input 0, software; modes 0, 14, 15
+                                 1U << 15 | 1U << 1 |  // input 0, software; modes 0, 14, 15
+                                 (options_.series ? 1U : 0U);
   registers_[kTrigger] = kPresent;
+  AbortSeries();
+  if (options_.exposure_cycle) {
+    registers_[kCycleControl] = kPresent;
+    for (std::uint32_t step = 0; step < IidcCycle::kSteps; ++step) {
+      registers_[kCycleSteps + 0x20 * step] = kPresent | 100 * step;
+      registers_[kCycleSteps + 0x20 * step + 4] = kPresent | GainRaw(0.0);
+    }
+  }
   settings_ = {{1000, GainRaw(0.0)}};
 
   registers_[0x1E80] = kPresent | 1U << 24 | 60;
@@ -231,7 +246,7 @@ std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
     const auto found = mode->second.find(static_cast<std::uint32_t>(offset) % 0x100);
     return found == mode->second.end() ? 0 : found->second;
   }
-  if (offset == kSoftwareTrigger) return clock_.Now() < busy_until_ ? kPresent : 0;
+  if (offset == kSoftwareTrigger) return IsBusy(clock_.Now()) ? kPresent : 0;
   if (offset >= 0x5000) return std::nullopt;
   const auto found = registers_.find(static_cast<std::uint32_t>(offset));
   return found == registers_.end() ? 0 : found->second;
@@ -239,6 +254,7 @@ std::optional<std::uint32_t> IidcDevice::ReadOne(std::uint64_t address) const {
 
 std::optional<IidcDevice::Answer> IidcDevice::Refuses() {
   ++requests_;
+  TakeWhatIsDue();
   if (!plugged_in_) return Answer::kGone;
   if (faults_.nak_registers > 0) {
     --faults_.nak_registers;
@@ -319,6 +335,13 @@ bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
     case kSoftwareTrigger:
       if ((value & kPresent) != 0) Trigger(kSoftwareSource);
       return true;
+    case kTrigger:
+      AbortSeries();  // touching it ends what it began
+      registers_[offset] = value;
+      return true;
+    case kCycleControl:
+      if (options_.exposure_cycle) registers_[offset] = kPresent | (value & kOn);
+      return true;
     case kFrameInfo:
       if (options_.embedded_info) {
         registers_[offset] = (registers_[offset] & 0xFFFF0000) | (value & 0x3FF);
@@ -338,12 +361,20 @@ bool IidcDevice::WriteOne(std::uint64_t address, std::uint32_t value) {
     }
     case kIsoEnable:
       registers_[offset] = value & kPresent;
-      if (value == 0) sending_.clear();
+      if (value == 0) {
+        sending_.clear();
+        AbortSeries();
+      }
       return true;
     default:
       break;
   }
-  if (offset >= 0x800 && offset < 0x890 && offset != kTrigger) {
+  if (offset >= kCycleSteps && offset < kCycleSteps + 0x20 * IidcCycle::kSteps) {
+    const std::uint32_t at = offset % 0x20;
+    if (!options_.exposure_cycle || (at != 0 && at != 4)) return true;
+    // Out of range is pulled in: the gain's ends at 600.
+    registers_[offset] = kPresent | (at == 0 ? value & 0xFFF : std::min(value & 0xFFF, 600U));
+  } else if (offset >= 0x800 && offset < 0x890) {
     WriteFeature(offset, value);
   } else {
     registers_[offset] = value;
@@ -360,21 +391,60 @@ void IidcDevice::Pulse() {
   if (plugged_in_) Trigger(0);
 }
 
+bool IidcDevice::CycleIsOn() const {
+  const auto control = registers_.find(kCycleControl);
+  return control != registers_.end() && (control->second & kOn) != 0;
+}
+
+bool IidcDevice::IsBusy(HostTime now) const {
+  return now < busy_until_ || series_left_ > 0 || endless_series_;
+}
+
+void IidcDevice::AbortSeries() {
+  series_left_ = 0;
+  endless_series_ = false;
+}
+
+void IidcDevice::TakeWhatIsDue() {
+  while ((series_left_ > 0 || endless_series_) && busy_until_ <= clock_.Now()) {
+    if (!endless_series_) --series_left_;
+    Expose(busy_until_);
+  }
+}
+
 void IidcDevice::Trigger(std::uint32_t source) {
+  TakeWhatIsDue();
   const HostTime now = clock_.Now();
-  const bool on = (registers_[kTrigger] & kOn) != 0 &&
-                  (registers_[kTrigger] >> 21 & 7U) == source &&
-                  (registers_[kIsoEnable] & kPresent) != 0;
-  if (!on || now < busy_until_) {
+  const std::uint32_t mode = registers_[kTrigger];
+  const bool on =
+      (mode & kOn) != 0 && (mode >> 21 & 7U) == source && (registers_[kIsoEnable] & kPresent) != 0;
+  if (!on || IsBusy(now)) {
     ++triggers_refused_;
     return;
   }
-  settings_.push_back(
-      {ShutterRaw(ToDouble(registers_[kShutterAbsolute + 8])), registers_[kGain] & 0xFFF});
-  while (settings_.size() > static_cast<std::size_t>(options_.exposure_latency) + 1) {
-    settings_.pop_front();
+  if ((mode >> 16 & 0xFU) == kSeriesMode) {
+    const std::uint32_t pictures = mode & 0xFFF;
+    endless_series_ = pictures == 0;
+    series_left_ = std::max(pictures, 1U) - 1;
   }
-  Setting setting = settings_.front();
+  cycle_.BeginSeries();
+  Expose(now);
+}
+
+void IidcDevice::Expose(HostTime now) {
+  Setting setting;
+  if (CycleIsOn()) {
+    for (; faults_.skipped_steps > 0; --faults_.skipped_steps) cycle_.Skip();
+    const std::uint32_t at = kCycleSteps + 0x20 * cycle_.Take();
+    setting = {registers_[at] & 0xFFF, registers_[at + 4] & 0xFFF};
+  } else {
+    settings_.push_back(
+        {ShutterRaw(ToDouble(registers_[kShutterAbsolute + 8])), registers_[kGain] & 0xFFF});
+    while (settings_.size() > static_cast<std::size_t>(options_.exposure_latency) + 1) {
+      settings_.pop_front();
+    }
+    setting = settings_.front();
+  }
   if (faults_.wrong_exposures > 0) {
     --faults_.wrong_exposures;
     setting.shutter += kStepsPerOctave;
@@ -389,6 +459,7 @@ void IidcDevice::Trigger(std::uint32_t source) {
   ++counter_;
   if (faults_.lose_frames > 0) {
     --faults_.lose_frames;
+    cycle_.FrameLost();
     return;
   }
   if (faults_.late_frames > 0) {
@@ -554,6 +625,7 @@ IidcDevice::Moved IidcDevice::ReadStream(std::span<std::byte> buffer) {
   std::lock_guard lock(mutex_);
   Moved moved;
   if (!plugged_in_) return {Answer::kGone, 0, true};
+  TakeWhatIsDue();
   if (faults_.stall_stream > 0) {
     --faults_.stall_stream;
     return {Answer::kStall, 0, true};

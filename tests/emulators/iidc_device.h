@@ -14,6 +14,7 @@
 #include "core/base/clock.h"
 #include "core/sphere/rig.h"
 #include "tests/emulators/device_answer.h"
+#include "tests/emulators/iidc_cycle.h"
 
 namespace omnihdr::emulators {
 
@@ -36,16 +37,20 @@ struct IidcDeviceOptions {
   bool coarse_words = false;    // sixteen shutter settings share a value of register and frame
   bool low_byte_first = false;  // in the codings of 16 bits
   bool keeps_gamma = false;     // a gamma that cannot be switched off by writing
+  bool exposure_cycle = false;  // HDR_CONTROL, 0x1800
+  CycleStart cycle_start = CycleStart::kContinues;
+  bool series = true;  // trigger mode 15
   // Code values by which pixels differ from the smooth scene, the same in every picture: what makes
   // a file of them as long as a real one's.
   int grain = 0;
   // What a pixel of the whole sensor shows, as a code value at one second; empty = a smooth scene
   // of the device's own.
-  std::function<double(int x, int y)> scene;
+  std::function<double(int x, int y)> scene = {};
 };
 
 // A device model of an IIDC camera, free of any transport: registers, configuration ROM, Format7,
-// features, software trigger, embedded frame information, and Bayer pictures of a simple scene
+// features, software trigger (mode 15 with its series, too), the exposure cycle, embedded frame
+// information, and Bayer pictures of a simple scene
 // whose brightness follows shutter and gain. Adapters carry its registers and its stream over USB
 // or in process. Time is the clock's. Thread-safe.
 class IidcDevice {
@@ -75,6 +80,7 @@ class IidcDevice {
     int stall_stream = 0;
     int damaged_headers = 0;  // of compressed frames
     int unmarked_losses = 0;  // loses bytes in the middle, no short packet there
+    int skipped_steps = 0;    // of the exposure cycle, before the next picture
     // Babble: sends two pictures more that nobody asked for, and bytes that are no picture.
     int babbling_frames = 0;
   };
@@ -96,7 +102,7 @@ class IidcDevice {
   int triggers_refused() const;                        // while the sensor was busy
   bool stall_pending() const;                          // Faults::stall_after has not come yet
   std::uint64_t requests() const;                      // of registers, answered or not
-  // When the triggers that were taken came, the first 100,000 of them.
+  // When the exposures began, the first 100,000 of them.
   std::vector<HostTime> trigger_times() const;
 
   // Shutter and gain as the value registers hold them.
@@ -129,6 +135,11 @@ class IidcDevice {
   bool WriteOne(std::uint64_t address, std::uint32_t value);
   void WriteFeature(std::uint32_t offset, std::uint32_t value);
   void Trigger(std::uint32_t source);
+  bool CycleIsOn() const;
+  bool IsBusy(HostTime now) const;
+  void TakeWhatIsDue();
+  void Expose(HostTime start);
+  void AbortSeries();
   std::uint32_t ShutterWord(std::uint32_t raw) const;
   std::vector<std::byte> TakePicture(const Setting& setting, HostTime start);
   std::uint32_t& Format7(std::uint32_t offset);  // of the mode selected
@@ -149,6 +160,9 @@ class IidcDevice {
   bool plugged_in_ = true;
   HostTime power_up_;
   HostTime busy_until_;
+  IidcCycle cycle_;
+  std::uint32_t series_left_ = 0;  // pictures of a series that are still to be taken
+  bool endless_series_ = false;
   std::uint32_t counter_ = 0;
   int triggers_refused_ = 0;
   std::uint64_t requests_ = 0;

@@ -203,7 +203,7 @@ TEST_F(IidcCameraTest, WhatItCountsIsToldByTheSameNamesBeforeAndAfterItIsOpen) {
   emulated_ = std::make_unique<EmulatedIidc>();
   const auto closed = emulated_->MakeCamera();
   const std::vector<CameraCounter> before = closed->Counters();
-  ASSERT_EQ(before.size(), 3U);
+  ASSERT_EQ(before.size(), 6U);
   Begin();
   emulated_->device->Set({.short_frames = 1});
   EXPECT_EQ(TakeOne(0.01).status, FrameStatus::kCorrupt);

@@ -48,6 +48,16 @@ TEST(BracketPlan, AListIsTakenAsGiven) {
   EXPECT_DOUBLE_EQ(plan.ForTrigger(TriggerId{7}).time.seconds(), 0.004);
 }
 
+TEST(BracketPlan, ATurnIsWhatTriggersGetUntilTheyBeginAnew) {
+  const auto saw = BracketPlan::Make({.count = 3}, {}).value();
+  EXPECT_EQ(saw.Turn().size(), 3U);
+  const auto plan = BracketPlan::Make({.order = BracketOrder::kTriangle, .count = 3}, {}).value();
+  ASSERT_EQ(plan.Turn().size(), 4U);
+  for (std::uint64_t i = 0; i < 12; ++i) {
+    EXPECT_EQ(plan.ForTrigger(TriggerId{i}), plan.Turn()[i % plan.Period()]);
+  }
+}
+
 TEST(BracketPlan, StepsAreStopsApartFromTheStart) {
   BracketOptions options{.start = Seconds(0.016), .step = Stops{-1.6}, .count = 3};
   options.gain = GainDb{6.0};

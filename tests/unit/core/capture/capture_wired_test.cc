@@ -217,5 +217,46 @@ TEST(CaptureWired, ACameraThatGoesEndsItsEdgesAndTheFramesThatWait) {
   EXPECT_EQ(wire.bench.record(1).status, FrameStatus::kOk);
 }
 
+TEST(CaptureWired, ACameraWithACycleOfItsOwnIsFollowedByThePlan) {
+  Wire wire;
+  const std::vector<Exposure> turn = wire.bench.controller.plan().Turn();
+  ASSERT_EQ(turn.size(), 3U);
+  for (std::size_t pulse = 0; pulse < 8; ++pulse) {
+    wire.bench.Trigger();
+    CameraFrame frame = wire.Picture();
+    // It is one step ahead of the plan, and two from the fifth pulse on.
+    frame.measured_exposure = turn[(pulse + (pulse < 4 ? 1 : 2)) % 3];
+    frame.cycled = true;
+    wire.Deliver(std::move(frame));
+    ASSERT_EQ(wire.bench.record(pulse).status, FrameStatus::kOk);
+    wire.Wait(milliseconds(100));
+  }
+  EXPECT_THAT(wire.Steps(), ElementsAre(1, 2, 0, 1, 0, 1, 2, 0)) << "as the frames prove";
+  EXPECT_EQ(wire.bench.controller.counts().retaken, 0U);
+  EXPECT_EQ(wire.bench.controller.upcoming().step, 1) << "what the camera's cycle takes next";
+}
+
+TEST(CaptureCycle, AFrameOfAnotherStepThanAskedForIsAPictureOfThatStepAndTheAskedOneIsDue) {
+  CaptureOptions options;
+  options.retake = 2;
+  Bench bench(8, 1000, 0, 1, options);
+  const std::vector<Exposure> turn = bench.controller.plan().Turn();
+  for (int own = 0; own < 2; ++own) {
+    bench.Trigger();
+    CameraFrame frame;
+    frame.trigger = TriggerId{static_cast<std::uint64_t>(own)};
+    frame.cycled = own == 1;
+    frame.measured_exposure = turn[1];
+    frame.proof = ExposureProof::kEmbedded;
+    frame.pixels = Image<std::uint8_t>(8, 4, 3, 7);
+    bench.controller.OnFrame(std::move(frame));
+    const FrameRecord& record = bench.record(static_cast<std::size_t>(own));
+    EXPECT_EQ(record.status, own == 1 ? FrameStatus::kOk : FrameStatus::kExposureMismatch);
+    EXPECT_EQ(record.exposure, turn[1]);
+    EXPECT_EQ(record.step, own == 1 ? 1 : 0);
+    EXPECT_EQ(bench.controller.upcoming().step, 0);
+  }
+}
+
 }  // namespace
 }  // namespace omnihdr::capture_wired_test
