@@ -240,6 +240,7 @@ void App::StartStages() {
                                const auto trigger = controller_->OnFrame(std::move(frame));
                                if (wired && trigger) latency_.FrameArrived(*trigger, now);
                                PrepareNext();
+                               TellNotes();
                                // The next one of a burst, and a frame that waits for its edge, have
                                // a deadline of their own.
                                if (config_.trigger.burst || wired) {
@@ -261,6 +262,10 @@ void App::StartStages() {
 }
 
 void App::TellPlan() { parts_.camera->Plan({controller_->plan().Turn(), config_.trigger.burst}); }
+
+void App::TellNotes() {
+  while (const auto note = parts_.camera->TakeNote()) spdlog::info("camera: {}", *note);
+}
 
 void App::PrepareNext() { parts_.camera->Prepare(controller_->upcoming().exposure); }
 

@@ -160,6 +160,7 @@ class App final : public ApiBackend {
   Status OnCameraOpened(const CameraInfo& info);
   void OnCameraAway(const Error& error);
   void TellPlan();  // to the camera: the exposures that are to come
+  void TellNotes();
   void PrepareNext();
   // Recorder thread.
   Status RunRecorder(std::stop_token stop, Stage& self);

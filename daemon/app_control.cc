@@ -308,7 +308,7 @@ void App::CheckDrained() {
 void App::Supervise() {
   supervise_timer_->Set(clock_.Now() + supervise_interval_);
   CheckLinks();
-  while (const auto note = parts_.camera->TakeNote()) spdlog::info("camera: {}", *note);
+  TellNotes();
   if (clock_.Now() - last_trigger_ > kCapturingHold && controller_->open_triggers() == 0) {
     state_.Update([](CaptureConditions& c) { c.capturing = false; });
   }

@@ -143,10 +143,6 @@ class Loader {
       Problem(line_of("camera.iidc.exposure_cycle"), "camera.iidc.exposure_cycle",
               "\"on\", expected \"auto\" or \"off\" with camera.iidc.format = \"jpeg\"");
     }
-    if (config.camera.iidc.bus == IidcBus::kFirewire && !config.camera.iidc.usb_recording.empty()) {
-      Problem(line_of("camera.iidc.bus"), "camera.iidc.usb_recording",
-              "set, expected \"\" with camera.iidc.bus = \"firewire\"");
-    }
     if (config.camera.driver == CameraDriver::kV4l2) {
       const v4l2::V4l2CameraOptions& camera = config.camera.v4l2;
       if (camera.layout == Layout::kRig && camera.rig_file.empty()) {
@@ -329,7 +325,12 @@ class Loader {
     };
     const CameraDriver driver = config.camera.driver;
     if (driver != CameraDriver::kIidc && driver != CameraDriver::kSim) {
-      problem("camera.driver", "expected \"iidc\" or \"sim\" with trigger.wired = true");
+      problem(
+          "camera.driver",
+          driver == CameraDriver::kV4l2
+              ? "\"v4l2\", expected \"iidc\" or \"sim\" with trigger.wired = true: V4L2 cameras "
+                "run freely, and nothing of V4L2 says that one exposes at pulses"
+              : "expected \"iidc\" or \"sim\" with trigger.wired = true");
     }
     if (driver == CameraDriver::kIidc && config.trigger.source != TriggerKind::kGpio) {
       problem("trigger.source",

@@ -129,7 +129,7 @@ struct IidcCameraConfig {
   IidcCycle exposure_cycle = IidcCycle::kAuto;
   int white_balance_blue = -1;  // register values; -1 = as the camera has them
   int white_balance_red = -1;
-  std::string usb_recording;  // file for the camera's USB traffic; empty = none
+  std::string usb_recording;  // file for the traffic with the camera; empty = none
 };
 
 // [camera]

@@ -5,6 +5,8 @@
 #include <string>
 #include <utility>
 
+#include "drivers/firewire/recording.h"
+#include "drivers/iidc/firewire_link.h"
 #include "drivers/iidc/settings.h"
 #include "drivers/iidc/usb_link.h"
 #include "drivers/usb/recording.h"
@@ -78,15 +80,15 @@ Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
 
 namespace {
 
-// IIDC cameras on USB, and one V4L2 camera.
+// IIDC and V4L2 cameras.
 Status CheckRecordable(const CameraOptions& options) {
-  const auto* iidc_options = std::get_if<iidc::IidcCameraOptions>(&options);
-  if (iidc_options != nullptr && iidc_options->bus == iidc::CameraBus::kUsb) return {};
-  const auto* v4l2_options = std::get_if<v4l2::V4l2CameraOptions>(&options);
-  if (v4l2_options != nullptr && v4l2_options->devices.empty()) return {};
+  if (std::holds_alternative<iidc::IidcCameraOptions>(options) ||
+      std::holds_alternative<v4l2::V4l2CameraOptions>(options)) {
+    return {};
+  }
   return Fail(ErrorKind::kUsage,
-              "camera.driver: \"{}\": expected \"iidc\" on USB, or \"v4l2\" without "
-              "camera.v4l2.devices: the traffic of others cannot be recorded",
+              "camera.driver: \"{}\": expected \"iidc\" or \"v4l2\": the traffic of others "
+              "cannot be recorded",
               CameraDrivers()[options.index()].name);
 }
 
@@ -111,6 +113,11 @@ Result<std::unique_ptr<Camera>> MakeReplayedCamera(const CameraOptions& options,
   }
   const auto& iidc_options = std::get<iidc::IidcCameraOptions>(options);
   OMNIHDR_TRY(iidc_options.Validate().Context("camera iidc"));
+  if (iidc_options.bus == iidc::CameraBus::kFirewire) {
+    OMNIHDR_ASSIGN(std::unique_ptr<firewire::Bus> bus, firewire::MakeReplayingBus(file));
+    return std::unique_ptr<Camera>(
+        std::make_unique<iidc::IidcCamera>(iidc_options, iidc::MakeFirewireFinder(std::move(bus))));
+  }
   OMNIHDR_ASSIGN(std::unique_ptr<usb::Bus> bus, usb::MakeReplayingBus(file));
   return std::unique_ptr<Camera>(
       std::make_unique<iidc::IidcCamera>(iidc_options, iidc::MakeUsbFinder(std::move(bus))));

@@ -42,7 +42,8 @@ Result<std::vector<std::unique_ptr<CameraSettings>>> OpenCameraSettings(
     const CameraOptions& options);
 
 // Makes the options' camera write all that passes between it and this machine into `file`
-// (drivers/usb/recording.h, drivers/v4l2/recording.h). kUsage for cameras that cannot.
+// (drivers/usb/recording.h, drivers/firewire/recording.h; drivers/v4l2/recording.h, a file for each
+// camera of a rig). kUsage for cameras that cannot.
 Status RecordTransport(CameraOptions& options, const std::filesystem::path& file);
 // A camera that such a recording plays, not yet open: asked the same, it answers the same. kData
 // when the file is none.

@@ -55,6 +55,10 @@ class Node {
  public:
   virtual ~Node() = default;
   virtual NodeInfo info() const = 0;
+  // Whether packets come when the device sends them: not from a recording.
+  virtual bool live() const { return true; }
+  // What more there is to say of a kFailed or kGone; empty = nothing.
+  virtual std::string detail() const { return {}; }
   // Quadlets in the host's order; one quadlet as a quadlet transaction.
   virtual Answer Read(std::uint64_t address, std::span<std::uint32_t> quadlets,
                       Nanoseconds timeout) = 0;

@@ -172,10 +172,6 @@ std::optional<BayerOrder> ParseTileMapping(std::uint32_t quadlet) {
 std::string_view ToString(CameraBus bus) { return bus == CameraBus::kUsb ? "usb" : "firewire"; }
 
 Status IidcCameraOptions::Validate() const {
-  if (bus == CameraBus::kFirewire && !usb_recording.empty()) {
-    return Fail(ErrorKind::kConfig, "usb_recording: \"{}\": expected \"\" with bus = \"firewire\"",
-                usb_recording);
-  }
   const bool guid =
       id.size() == 16 && std::all_of(id.begin(), id.end(), [](char c) {
         return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f') || (c >= 'A' && c <= 'F');

@@ -54,7 +54,8 @@ struct IidcCameraOptions {
   CycleUse exposure_cycle = CycleUse::kAuto;
   int white_balance_blue = -1;  // -1 = as the camera has it
   int white_balance_red = -1;
-  // Where the camera's USB traffic is recorded (drivers/usb/recording.h); empty = nowhere.
+  // Where the traffic with the camera is recorded (drivers/usb/recording.h, and for FireWire
+  // drivers/firewire/recording.h); empty = nowhere.
   std::string usb_recording;
   double frame_timeout_s = 2.0;  // from the end of the exposure, 0.01 to 600
   Status Validate() const;       // kConfig error naming the option and its range

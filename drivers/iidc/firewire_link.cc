@@ -54,6 +54,7 @@ class FirewireLink final : public Link {
     return fmt::format("firewire {} ({:016x})", info.port, info.guid);
   }
   std::uint16_t product() const override { return 0; }
+  bool live() const override { return node_->live(); }
   // The first packet of a frame is marked, and its length is known.
   std::size_t packet_bytes() const override { return 0; }
 
@@ -166,13 +167,19 @@ class FirewireLink final : public Link {
           return Fail(ErrorKind::kTemporary, "{:#014x}: no answer in {} ms", address,
                       timeout.count() / 1'000'000);
         case Answer::kGone:
-          return Fail(ErrorKind::kUnavailable, "{:#014x}: the camera has left the bus", address);
+          return Fail(ErrorKind::kUnavailable, "{:#014x}: the camera has left the bus{}", address,
+                      Detail());
         case Answer::kFailed:
-          return Fail(ErrorKind::kIo, "{:#014x}: failed", address);
+          return Fail(ErrorKind::kIo, "{:#014x}: failed{}", address, Detail());
       }
     }
     return Fail(ErrorKind::kTemporary, "{:#014x}: {} for {} ms", address, ToString(answer),
                 timeout.count() / 1'000'000);
+  }
+
+  std::string Detail() const {
+    const std::string detail = node_->detail();
+    return detail.empty() ? detail : ": " + detail;
   }
 
   Status Allocate(int speed) {

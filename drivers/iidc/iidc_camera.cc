@@ -7,6 +7,7 @@
 #include <cmath>
 #include <utility>
 
+#include "drivers/firewire/recording.h"
 #include "drivers/iidc/firewire_link.h"
 #include "drivers/iidc/registers.h"
 #include "drivers/iidc/trigger_mode.h"
@@ -492,7 +493,11 @@ std::string IidcCamera::Readback(const CycleMark* mark) const {
 
 std::unique_ptr<LinkFinder> MakeFinder(const IidcCameraOptions& options) {
   if (options.bus == CameraBus::kFirewire) {
-    return MakeFirewireFinder(firewire::MakeSystemBus());
+    std::shared_ptr<firewire::Bus> bus = firewire::MakeSystemBus();
+    if (!options.usb_recording.empty()) {
+      bus = firewire::MakeRecordingBus(std::move(bus), {.file = options.usb_recording});
+    }
+    return MakeFirewireFinder(std::move(bus));
   }
   std::shared_ptr<usb::Bus> bus = usb::MakeLibusbBus();
   if (!options.usb_recording.empty()) {

@@ -198,10 +198,6 @@ Status CheckDevices(const V4l2CameraOptions& options) {
     return Fail(ErrorKind::kConfig, "device, controls: \"{}\", \"{}\": expected \"\" with devices",
                 options.device, options.controls_device);
   }
-  if (!options.recording.empty()) {
-    return Fail(ErrorKind::kConfig, "recording: \"{}\": expected \"\" with devices",
-                options.recording);
-  }
   if (options.layout != Layout::kRig) {
     return Fail(ErrorKind::kConfig, "layout: \"{}\": expected \"rig\" with devices",
                 ToString(options.layout));

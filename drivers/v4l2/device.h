@@ -60,6 +60,8 @@ class V4l2System {
   // The one of its frames' time stamps, and of all waiting for them. The system's; a recording that
   // is played has that of its own.
   virtual const Clock& clock() const;
+  // Where a recording that is played was left; empty = it goes on, or the system is a kernel's.
+  virtual std::string why() const { return {}; }
 };
 
 // What a failed call means: kUnavailable = the device has gone (ENODEV, ENXIO, ENOENT) or another

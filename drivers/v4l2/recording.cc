@@ -418,6 +418,7 @@ class ReplayingSystem final : public V4l2System {
     return std::make_unique<ReplayingDevice>(devices_++, calls_);
   }
   const Clock& clock() const override { return *calls_; }
+  std::string why() const override { return calls_->Why(); }
 
  private:
   const std::shared_ptr<PlayedCalls> calls_;
@@ -480,6 +481,30 @@ Result<std::unique_ptr<V4l2System>> MakeRecordingSystem(std::unique_ptr<V4l2Syst
       std::make_unique<RecordingSystem>(std::move(system), std::move(file)));
 }
 
+std::filesystem::path RecordingOfMember(const std::filesystem::path& file, std::size_t member) {
+  std::filesystem::path path = file;
+  path += fmt::format(".{}", member);
+  return path;
+}
+
+Result<V4l2RigCamera::MakeSystem> MakeRecordingSystems(V4l2RigCamera::MakeSystem make,
+                                                       std::size_t members,
+                                                       const RecordingOptions& options) {
+  std::vector<std::shared_ptr<RecordingFile>> files;
+  for (std::size_t i = 0; i < members; ++i) {
+    RecordingOptions own = options;
+    own.file = RecordingOfMember(options.file, i);
+    files.push_back(std::make_shared<RecordingFile>(std::move(own), kKernelCallMagic));
+    OMNIHDR_TRY(files.back()->Begin().Context("V4L2 recording"));
+  }
+  // A rig that is opened again goes on with its files.
+  return V4l2RigCamera::MakeSystem(
+      [make = std::move(make), files = std::move(files)](std::size_t member) {
+        return std::unique_ptr<V4l2System>(
+            std::make_unique<RecordingSystem>(make(member), files.at(member)));
+      });
+}
+
 Result<std::unique_ptr<V4l2System>> MakeReplayingSystem(std::vector<std::byte> recording) {
   OMNIHDR_ASSIGN(std::shared_ptr<PlayedCalls> calls, ReadCalls(std::move(recording)));
   return std::unique_ptr<V4l2System>(std::make_unique<ReplayingSystem>(std::move(calls)));
@@ -491,8 +516,33 @@ Result<std::unique_ptr<Camera>> MakeReplayedCamera(const V4l2CameraOptions& opti
   return std::unique_ptr<Camera>(std::make_unique<ReplayedCamera>(options, std::move(calls)));
 }
 
+Result<std::unique_ptr<Camera>> MakeReplayedRig(const V4l2CameraOptions& options,
+                                                std::vector<std::vector<std::byte>> recordings) {
+  if (recordings.size() != options.devices.size()) {
+    return Fail(ErrorKind::kData, "{} recordings: expected {}, one for each of devices",
+                recordings.size(), options.devices.size());
+  }
+  std::vector<std::shared_ptr<PlayedCalls>> calls;
+  for (std::vector<std::byte>& recording : recordings) {
+    OMNIHDR_ASSIGN(auto each, ReadCalls(std::move(recording)));
+    calls.push_back(std::move(each));
+  }
+  return std::unique_ptr<Camera>(std::make_unique<V4l2RigCamera>(
+      options, [calls = std::move(calls)](std::size_t member) -> std::unique_ptr<V4l2System> {
+        return std::make_unique<ReplayingSystem>(calls.at(member));
+      }));
+}
+
 Result<std::unique_ptr<Camera>> MakeReplayedCamera(const V4l2CameraOptions& options,
                                                    const std::filesystem::path& file) {
+  if (!options.devices.empty()) {
+    std::vector<std::vector<std::byte>> recordings;
+    for (std::size_t i = 0; i < options.devices.size(); ++i) {
+      OMNIHDR_ASSIGN(std::vector<std::byte> bytes, ReadFile(RecordingOfMember(file, i)));
+      recordings.push_back(std::move(bytes));
+    }
+    return MakeReplayedRig(options, std::move(recordings)).Context(file.string());
+  }
   OMNIHDR_ASSIGN(std::vector<std::byte> bytes, ReadFile(file));
   return MakeReplayedCamera(options, std::move(bytes)).Context(file.string());
 }

@@ -106,7 +106,7 @@ Status V4l2RigCamera::OpenMembers(std::vector<CameraInfo>& infos) {
     options.sensor = static_cast<int>(i);
     members.push_back(std::make_unique<RigMember>(
         i, fmt::format("sensor {} \"{}\" ({})", i, names_[i], options.device), options,
-        make_system_(), retry_, inbox_));
+        make_system_(i), retry_, inbox_));
   }
   {
     std::lock_guard lock(members_mutex_);
@@ -485,8 +485,13 @@ std::string V4l2RigCamera::AllAway() const {
 
 Result<std::unique_ptr<Camera>> MakeKernelV4l2Camera(V4l2CameraOptions options) {
   if (!options.devices.empty()) {
+    V4l2RigCamera::MakeSystem make = [](std::size_t) { return MakeKernelSystem(); };
+    if (!options.recording.empty()) {
+      OMNIHDR_ASSIGN(make, MakeRecordingSystems(std::move(make), options.devices.size(),
+                                                {.file = options.recording}));
+    }
     return std::unique_ptr<Camera>(
-        std::make_unique<V4l2RigCamera>(std::move(options), [] { return MakeKernelSystem(); }));
+        std::make_unique<V4l2RigCamera>(std::move(options), std::move(make)));
   }
   std::unique_ptr<V4l2System> system = MakeKernelSystem();
   if (!options.recording.empty()) {

@@ -33,8 +33,8 @@ namespace omnihdr::v4l2 {
 // when all have gone, the rig has.
 class V4l2RigCamera final : public Camera {
  public:
-  // Makes one system for each camera: they are opened side by side.
-  using MakeSystem = std::function<std::unique_ptr<V4l2System>()>;
+  // Makes one system for each camera, by its number: they are opened side by side.
+  using MakeSystem = std::function<std::unique_ptr<V4l2System>(std::size_t)>;
   // `retry`: between attempts to open a camera that has left.
   V4l2RigCamera(V4l2CameraOptions options, MakeSystem make_system,
                 Nanoseconds retry = std::chrono::seconds(1));
@@ -110,7 +110,7 @@ class V4l2RigCamera final : public Camera {
 };
 
 // The cameras of this machine's kernel: one, or several as a rig (options.devices). kCannotCreate:
-// the file of options.recording cannot be made.
+// a file of options.recording cannot be made.
 Result<std::unique_ptr<Camera>> MakeKernelV4l2Camera(V4l2CameraOptions options);
 
 }  // namespace omnihdr::v4l2

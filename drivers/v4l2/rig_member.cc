@@ -42,10 +42,17 @@ RigMember::RigMember(std::size_t number, std::string name, const V4l2CameraOptio
       name_(std::move(name)),
       retry_(retry),
       inbox_(inbox),
+      system_(system.get()),
       camera_(options, std::move(system)) {}
+
+std::string RigMember::Explained(std::string why) const {
+  const std::string more = system_->why();
+  return more.empty() ? why : why + ": " + more;
+}
 
 Result<CameraInfo> RigMember::Open() {
   Result<CameraInfo> info = camera_.Open().Context(name_);
+  if (!info) info.error().message = Explained(info.error().message);
   std::lock_guard lock(gate_);
   state_.present = info.has_value();
   state_.why = info ? std::string() : info.error().message;
@@ -114,7 +121,7 @@ Status RigMember::Watch(const std::stop_token& stop, Stage& stage) {
     if (frame) {
       inbox_.Put(number_, std::move(*frame));
     } else if (frame.error().kind != ErrorKind::kTemporary) {
-      Leave(std::move(frame).error().message);
+      Leave(Explained(frame.error().message));
     }
   }
   return {};
@@ -166,7 +173,7 @@ void RigMember::LookForIt() {
     ++state_.life;
     ++state_.returns;
   }
-  state_.why = back ? std::string() : back.error().message;
+  state_.why = back ? std::string() : Explained(back.error().message);
 }
 
 }  // namespace omnihdr::v4l2

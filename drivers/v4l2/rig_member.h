@@ -79,12 +79,14 @@ class RigMember {
   void Leave(std::string why);
   void LookForIt();
   Status IsTheSame(const CameraInfo& info) const;
+  std::string Explained(std::string why) const;
 
   const std::size_t number_;
   const std::string name_;
   const Nanoseconds retry_;
   RigInbox& inbox_;
   const SystemClock clock_;
+  const V4l2System* const system_;  // camera_'s
   V4l2Camera camera_;
   std::optional<CameraInfo> expected_;
   HostTime next_attempt_;

@@ -233,7 +233,7 @@ Rig MakeV4l2Head() {
   Rig rig;
   rig.surroundings = emulated;
   rig.camera = std::make_unique<v4l2::V4l2RigCamera>(
-      options, [emulated] { return emulators::MakeEmulatedV4l2(emulated->models); });
+      options, [emulated](std::size_t) { return emulators::MakeEmulatedV4l2(emulated->models); });
   rig.unplug = [emulated] {
     for (const auto& model : emulated->models) model->Unplug();
   };

@@ -1,10 +1,14 @@
 #include <linux/videodev2.h>
+#include <unistd.h>
 
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
 #include <span>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -123,12 +127,59 @@ void PlayRecording(std::span<const std::byte> bytes) {
   }
 }
 
+// A head of two sensors, in a file of this process.
+const std::string& RigFile() {
+  static const std::string path = [] {
+    std::string name = (std::filesystem::temp_directory_path() / "v4l2_fuzz_XXXXXX").string();
+    const int fd = ::mkstemp(name.data());
+    Check(fd >= 0);
+    ::close(fd);
+    std::ofstream out(name);
+    out << "format = \"omnihdr-rig\"\nversion = 1\nmodel = \"head\"\nserial = \"\"\n"
+           "sphere_radius_m = 10.0\nblend_width_deg = 5.0\n";
+    for (int i = 0; i < 2; ++i) {
+      out << "\n[[sensor]]\nname = \"" << i
+          << "\"\nsize = [32, 24]\nbayer = \"none\"\nlens = \"fisheye\"\n"
+             "focal = [16, 16]\ncentre = [16, 12]\ndistortion = [0.0, 0.0, 0.0, 0.0, 0.0]\n"
+             "fov_deg = 130.0\nrotation = [1.0, 0.0, 0.0, 0.0]\ntranslation = [0.0, 0.0, 0.0]\n";
+    }
+    return name;
+  }();
+  return path;
+}
+
+// The calls of two cameras, each behind its magic; the first byte says where the second begins.
+void PlayRig(std::span<const std::byte> bytes) {
+  if (bytes.empty()) return;
+  const std::size_t cut = std::to_integer<std::size_t>(bytes[0]) * (bytes.size() - 1) / 255;
+  const auto magic = std::as_bytes(std::span(v4l2::kKernelCallMagic));
+  std::vector<std::vector<std::byte>> recordings;
+  for (const auto part : {bytes.subspan(1, cut), bytes.subspan(1 + cut)}) {
+    std::vector<std::byte>& recording = recordings.emplace_back(magic.begin(), magic.end());
+    recording.insert(recording.end(), part.begin(), part.end());
+  }
+  v4l2::V4l2CameraOptions options;
+  options.rig_file = RigFile();
+  options.coding = v4l2::Coding::kGrey;
+  options.latency_frames = 4;
+  options.devices = {"/dev/video0", "/dev/video2"};
+  auto camera = v4l2::MakeReplayedRig(options, std::move(recordings));
+  Check(camera.has_value());
+  const auto info = (*camera)->Open();
+  Check(info.has_value() || !info.error().message.empty());
+}
+
 }  // namespace
 
 // Any bytes in a buffer give a picture of the size set or an error with a message; any answers of a
-// kernel end in a camera that can be believed or in an error with a message; so does any recording.
+// kernel end in a camera that can be believed or in an error with a message; so does any recording,
+// of one camera or of two as a rig.
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   if (size == 0) return 0;
+  if (data[0] == 0xFE) {
+    PlayRig(std::as_bytes(std::span(data + 1, size - 1)));
+    return 0;
+  }
   if (data[0] == 0xFF) {
     PlayRecording(std::as_bytes(std::span(data + 1, size - 1)));
     return 0;

@@ -15,6 +15,9 @@
 #include <variant>
 #include <vector>
 
+#include "core/base/file.h"
+#include "drivers/v4l2/kernel_call.h"
+#include "drivers/v4l2/recording.h"
 #include "tests/drivers/v4l2/emulated.h"
 
 namespace omnihdr::rig_camera_test {
@@ -59,7 +62,8 @@ class RigCameraTest : public ::testing::Test {
   }
   void Make() {
     camera_ = std::make_unique<v4l2::V4l2RigCamera>(
-        options_, [this] { return emulators::MakeEmulatedV4l2(models_); }, milliseconds(50));
+        options_, [this](std::size_t) { return emulators::MakeEmulatedV4l2(models_); },
+        milliseconds(50));
   }
   void Begin() {
     Make();
@@ -326,6 +330,105 @@ TEST_F(RigCameraTest, AfterStopItStartsAgainWithoutBeingOpenedAnew) {
     EXPECT_FALSE(camera_->Receive(milliseconds(1)));
     ASSERT_TRUE(camera_->Start());
   }
+}
+
+// What a rig delivers for a few triggers.
+std::vector<CameraFrame> TakeSome(Camera& camera) {
+  std::vector<CameraFrame> frames;
+  const Result<CameraInfo> info = camera.Open();
+  EXPECT_TRUE(info) << info.error().message;
+  if (!info || !camera.Start()) return frames;
+  std::uint64_t number = 0;
+  for (const double seconds : {0.0004, 0.002, 0.002, 0.001}) {
+    Result<CameraFrame> frame = testing::TakePicture(camera, number++, seconds);
+    EXPECT_TRUE(frame) << frame.error().message;
+    if (frame) frames.push_back(std::move(*frame));
+  }
+  camera.Stop();
+  camera.Close();
+  return frames;
+}
+
+class RigRecording : public RigCameraTest {
+ protected:
+  std::filesystem::path file() const { return folder_.path() / "rig.v4l2"; }
+  v4l2::V4l2RigCamera::MakeSystem Emulated() {
+    return [this](std::size_t) { return emulators::MakeEmulatedV4l2(models_); };
+  }
+  std::vector<CameraFrame> Record() {
+    auto make = v4l2::MakeRecordingSystems(Emulated(), 3, {.file = file()});
+    EXPECT_TRUE(make) << make.error().message;
+    v4l2::V4l2RigCamera camera(options_, std::move(*make));
+    return TakeSome(camera);
+  }
+};
+
+TEST_F(RigRecording, PlayedBackItGivesTheSameFramesWithTheSameProof) {
+  const std::vector<CameraFrame> recorded = Record();
+  ASSERT_EQ(recorded.size(), 4U);
+  auto camera = v4l2::MakeReplayedCamera(options_, file());
+  ASSERT_TRUE(camera) << camera.error().message;
+  const std::vector<CameraFrame> played = TakeSome(**camera);
+  ASSERT_EQ(played.size(), 4U);
+  for (std::size_t i = 0; i < played.size(); ++i) {
+    EXPECT_EQ(played[i].status, FrameStatus::kOk) << played[i].detail;
+    EXPECT_EQ(played[i].measured_exposure, recorded[i].measured_exposure);
+    EXPECT_EQ(played[i].proof, recorded[i].proof);
+    EXPECT_EQ(played[i].settings_readback_json, recorded[i].settings_readback_json)
+        << "each sensor's setting, and how far their exposures lie apart";
+    const auto& a = std::get<Image<std::uint8_t>>(played[i].pixels);
+    const auto& b = std::get<Image<std::uint8_t>>(recorded[i].pixels);
+    EXPECT_TRUE(
+        std::equal(a.values().begin(), a.values().end(), b.values().begin(), b.values().end()));
+  }
+}
+
+// Where the call is over with which a recording's trigger of this number was taken.
+std::size_t EndOfTrigger(const std::vector<std::byte>& bytes, int number) {
+  auto calls = recording::RecordedCalls::Read(bytes, v4l2::kKernelCallMagic, "calls").value();
+  std::size_t end = v4l2::kKernelCallMagic.size();
+  while (const auto call = calls.Next()) {
+    end += 4 + call->size();
+    const auto decoded = v4l2::DecodeCall(*call);
+    if (!decoded || decoded->kind != v4l2::KernelCall::Kind::kTrigger) continue;
+    if (number-- == 0) return end;
+  }
+  ADD_FAILURE() << "no such trigger";
+  return end;
+}
+
+TEST_F(RigRecording, ACameraWhoseRecordingEndsIsAMissingSensorThatSaysSo) {
+  ASSERT_EQ(Record().size(), 4U);
+  std::vector<std::vector<std::byte>> recordings;
+  for (std::size_t i = 0; i < 3; ++i) {
+    recordings.push_back(ReadFile(v4l2::RecordingOfMember(file(), i)).value());
+  }
+  recordings[1].resize(EndOfTrigger(recordings[1], 2));
+  auto camera = v4l2::MakeReplayedRig(options_, recordings);
+  ASSERT_TRUE(camera) << camera.error().message;
+  ASSERT_TRUE((*camera)->Open());
+  ASSERT_TRUE((*camera)->Start());
+  std::uint64_t number = 0;
+  for (const double seconds : {0.0004, 0.002, 0.002, 0.001}) {
+    const Result<CameraFrame> frame = testing::TakePicture(**camera, number++, seconds);
+    ASSERT_TRUE(frame) << frame.error().message;
+    EXPECT_EQ(frame->status, number <= 2 ? FrameStatus::kOk : FrameStatus::kCorrupt);
+    if (frame->status == FrameStatus::kOk) continue;
+    EXPECT_TRUE(frame->partial);
+    EXPECT_THAT(frame->detail, HasSubstr("sensor 1"));
+    EXPECT_THAT(frame->detail, HasSubstr("the recording has ended"));
+  }
+}
+
+TEST_F(RigRecording, AFileForEachCameraIsNeededAndOneThatCannotBeMadeIsSaidAtOnce) {
+  const auto none = v4l2::MakeReplayedCamera(options_, file());
+  ASSERT_FALSE(none);
+  EXPECT_THAT(none.error().message, HasSubstr("rig.v4l2.0"));
+  EXPECT_EQ(v4l2::MakeReplayedRig(options_, {}).error().kind, ErrorKind::kData);
+  const auto make =
+      v4l2::MakeRecordingSystems(Emulated(), 3, {.file = folder_.path() / "none" / "rig"});
+  ASSERT_FALSE(make);
+  EXPECT_EQ(make.error().kind, ErrorKind::kCannotCreate);
 }
 
 }  // namespace

@@ -81,7 +81,11 @@ TEST(Config, ACameraOnTheTriggersWireNeedsALineThatObservesItAndOnePictureAPulse
   EXPECT_EQ(problems(camera + line + "[trigger]\nsource = \"gpio\"\nwired = true\n"), "");
   EXPECT_THAT(problems(camera + "[trigger]\nsource = \"timer\"\nwired = true\n"),
               HasSubstr("trigger.source: expected \"gpio\""));
-  EXPECT_THAT(problems("[camera]\ndriver = \"v4l2\"\n[trigger]\nwired = true\n"),
+  EXPECT_THAT(
+      problems("[camera]\ndriver = \"v4l2\"\n[trigger]\nwired = true\n"),
+      HasSubstr("camera.driver: \"v4l2\", expected \"iidc\" or \"sim\" with trigger.wired = true: "
+                "V4L2 cameras run freely"));
+  EXPECT_THAT(problems("[camera]\ndriver = \"replay\"\n[trigger]\nwired = true\n"),
               HasSubstr("camera.driver: expected \"iidc\" or \"sim\""));
   EXPECT_THAT(problems("[trigger]\nwired = true\nburst = true\n"), HasSubstr("trigger.burst"));
   EXPECT_EQ(problems("[trigger]\nsource = \"timer\"\nwired = true\n"), "")
@@ -418,9 +422,8 @@ TEST(Config, KeysThatNeedEachOtherAreCheckedTogether) {
               HasSubstr("dir/test.toml:1: camera.replay.session: \"\", expected a session"));
   EXPECT_THAT(OnlyProblem("camera.driver = 'iidc'\n"),
               HasSubstr("dir/test.toml:1: camera.iidc.rig: \"\", expected the rig file"));
-  EXPECT_THAT(OnlyProblem("[camera.iidc]\nbus = 'firewire'\nusb_recording = 'x.usb'\n"),
-              HasSubstr("dir/test.toml:2: camera.iidc.usb_recording: set, expected \"\" with "
-                        "camera.iidc.bus = \"firewire\""));
+  EXPECT_THAT(OnlyProblem("[camera.iidc]\nformat = 'jpeg'\nexposure_cycle = 'on'\n"),
+              HasSubstr("dir/test.toml:3: camera.iidc.exposure_cycle: \"on\", expected \"auto\""));
   EXPECT_THAT(OnlyProblem("camera.driver = 'v4l2'\n"),
               HasSubstr("dir/test.toml:1: camera.v4l2.rig: \"\", expected the rig file"));
   EXPECT_THAT(
