@@ -406,15 +406,16 @@ Result<bool> OrientationCheck::AddValues(ImageView<const Value> stack) {
     pictures.push_back(Reduce<Value>(stack.Crop(0, top, width, rows), reduction_[i]));
     top += rows;
   }
-  std::vector<Agreement> configured = Compare(pictures, hypotheses_.front());
+  const std::vector<Agreement> configured = Compare(pictures, hypotheses_.front());
   Agreement all;
   for (const Agreement& pair : configured) all.Add(pair);
   if (all.patches < options_.least_patches) return false;
-  for (Hypothesis& hypothesis : hypotheses_) {
-    const bool first = &hypothesis == &hypotheses_.front();
-    const std::vector<Agreement> pairs =
-        first ? std::move(configured) : Compare(pictures, hypothesis);
-    for (std::size_t i = 0; i < pairs.size(); ++i) hypothesis.pairs[i].Add(pairs[i]);
+  const auto add = [](const std::vector<Agreement>& pairs, Hypothesis* hypothesis) {
+    for (std::size_t i = 0; i < pairs.size(); ++i) hypothesis->pairs[i].Add(pairs[i]);
+  };
+  add(configured, &hypotheses_.front());
+  for (std::size_t i = 1; i < hypotheses_.size(); ++i) {
+    add(Compare(pictures, hypotheses_[i]), &hypotheses_[i]);
   }
   ++frames_;
   return true;
