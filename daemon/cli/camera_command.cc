@@ -117,6 +117,12 @@ struct OpenCamera {
 
 // The configuration, with the camera that --device names.
 Result<DaemonConfig> ConfigOf(const CameraArguments& arguments) {
+  if (std::error_code error; !std::filesystem::exists(arguments.config, error)) {
+    return Fail(ErrorKind::kConfig,
+                "{}: there is no such file: expected --config with the file that says which camera "
+                "it is (omnihdr camera list names those there are)",
+                arguments.config);
+  }
   OMNIHDR_ASSIGN(DaemonConfig config, ConfigOrError(LoadConfig(arguments.config)));
   if (arguments.device.empty()) return config;
   CameraConfig& camera = config.camera;

@@ -60,6 +60,14 @@ TEST_F(CameraCommand, InfoForPeopleHasNoJsonInIt) {
   EXPECT_THAT(printed_, Not(HasSubstr("{")));
 }
 
+TEST_F(CameraCommand, WithoutAConfigurationItIsSaidWhatToName) {
+  fs::remove(config());
+  const Result<int> code = Run({"info"});
+  ASSERT_FALSE(code);
+  EXPECT_EQ(code.error().kind, ErrorKind::kConfig);
+  EXPECT_THAT(code.error().message, HasSubstr("c.toml: there is no such file: expected --config"));
+}
+
 TEST_F(CameraCommand, ACameraWithoutACableIsNotAskedToBeUnplugged) {
   const Result<int> code = Run({"test", "--unplug"});
   ASSERT_FALSE(code);
