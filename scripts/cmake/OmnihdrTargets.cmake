@@ -144,8 +144,13 @@ function(omnihdr_test name)
     math(EXPR ARG_TIMEOUT "10 * ${ARG_TIMEOUT}")  # of many cases
     foreach(shard RANGE ${last})
       add_test(NAME ${name}/${shard} COMMAND ${name} --gtest_brief=1)
+      set(environment "GTEST_TOTAL_SHARDS=${ARG_SHARDS}" "GTEST_SHARD_INDEX=${shard}")
+      if(OMNIHDR_SANITIZE MATCHES "thread")
+        list(APPEND environment
+          "TSAN_OPTIONS=suppressions=${PROJECT_SOURCE_DIR}/scripts/cmake/tsan_suppressions.txt")
+      endif()
       set_tests_properties(${name}/${shard} PROPERTIES LABELS "${ARG_LABELS}" TIMEOUT ${ARG_TIMEOUT}
-        ENVIRONMENT "GTEST_TOTAL_SHARDS=${ARG_SHARDS};GTEST_SHARD_INDEX=${shard}")
+        ENVIRONMENT "${environment}")
     endforeach()
     return()
   endif()
