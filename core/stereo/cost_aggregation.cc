@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "core/base/parallel_for.h"
@@ -21,29 +22,67 @@ constexpr std::array<std::uint32_t, kPixels + 1> kReciprocal = [] {
   return table;
 }();
 
-OMNIHDR_ALWAYS_INLINE std::uint8_t Rounded(std::uint32_t sum, std::uint32_t reciprocal) {
-  const std::uint32_t mean = (sum * reciprocal + 32768U) >> 16U;
-  return static_cast<std::uint8_t>(mean < 255U ? mean : 255U);
+// At most 255: the reciprocals are near enough for that.
+std::uint8_t Rounded(std::uint32_t sum, std::uint32_t reciprocal) {
+  return static_cast<std::uint8_t>((sum * reciprocal + 32768U) >> 16U);
 }
 
-OMNIHDR_SIMD_CLONES
-void AddRows(const std::uint8_t* __restrict above, const std::uint8_t* __restrict middle,
-             const std::uint8_t* __restrict below, int count, std::uint16_t* __restrict sum) {
-  for (int k = 0; k < count; ++k) {
-    sum[k] = static_cast<std::uint16_t>(above[k] + middle[k] + below[k]);
+constexpr int kLanes = 8;  // labels worked on at a time
+using Bytes = std::uint8_t __attribute__((vector_size(kLanes)));
+using Sums = std::uint16_t __attribute__((vector_size(2 * kLanes)));
+using Wide = std::uint32_t __attribute__((vector_size(4 * kLanes)));
+
+// The same kLanes labels at the pixels of one tile, one after the other. Labels that are not
+// searched there are read as well, from the pixels before and after, and masked.
+struct TileLabels {
+  const std::uint8_t* at = nullptr;
+  std::ptrdiff_t stride = 0;  // from pixel to pixel
+  Bytes mask{};
+};
+// Those of three rows' tiles.
+struct ColumnLabels {
+  std::array<TileLabels, kRows> row;
+  Wide searched{};  // by label: in how many of the rows
+};
+
+OMNIHDR_ALWAYS_INLINE Sums SumOfColumn(const ColumnLabels& labels, std::ptrdiff_t column) {
+  Sums sum{};
+  for (const TileLabels& row : labels.row) {
+    Bytes bytes;
+    std::memcpy(&bytes, row.at + column * row.stride, sizeof bytes);
+    sum += __builtin_convertvector(bytes & row.mask, Sums);
   }
+  return sum;
 }
 
-// `sum`: of three rows, from the pixel left of the first one on, `labels` values each.
+OMNIHDR_ALWAYS_INLINE void StoreMean(const Sums& sum, const Wide& reciprocal, std::uint8_t* to) {
+  const Wide mean = (__builtin_convertvector(sum, Wide) * reciprocal + 32768U) >> 16U;
+  const Bytes bytes = __builtin_convertvector(mean, Bytes);
+  std::memcpy(to, &bytes, sizeof bytes);
+}
+
+OMNIHDR_ALWAYS_INLINE Wide Reciprocals(const Wide& count) {
+  Wide reciprocal{};
+  for (int i = 0; i < kLanes; ++i) reciprocal[i] = kReciprocal[count[i]];
+  return reciprocal;
+}
+
+// Means of kLanes labels at a tile's pixels: `left` is the column before, `right` that behind.
 OMNIHDR_SIMD_CLONES
-void MeanOfColumns(const std::uint16_t* __restrict sum, int count, int labels,
-                   std::uint8_t* __restrict mean) {
-  const std::uint16_t* __restrict middle = sum + labels;
-  const std::uint16_t* __restrict right = sum + 2 * labels;
-  for (int k = 0; k < count; ++k) {
-    const std::uint32_t nine = std::uint32_t{sum[k]} + middle[k] + right[k];
-    mean[k] = Rounded(nine, kReciprocal[kPixels]);
+void MeansOfTile(const ColumnLabels& left, const ColumnLabels& own, const ColumnLabels& right,
+                 int columns, std::ptrdiff_t stride, std::uint8_t* to) {
+  const Wide inside = Reciprocals(own.searched + own.searched + own.searched);
+  const Wide first = Reciprocals(left.searched + own.searched + own.searched);
+  const Wide last = Reciprocals(own.searched + own.searched + right.searched);
+  Sums before = SumOfColumn(left, 0);
+  Sums here = SumOfColumn(own, 0);
+  for (std::ptrdiff_t i = 0; i + 1 < columns; ++i) {
+    const Sums next = SumOfColumn(own, i + 1);
+    StoreMean(before + here + next, i == 0 ? first : inside, to + i * stride);
+    before = here;
+    here = next;
   }
+  StoreMean(before + here + SumOfColumn(right, 0), last, to + (columns - 1) * stride);
 }
 
 OMNIHDR_SIMD_CLONES
@@ -59,14 +98,14 @@ class Aggregator {
   Aggregator(const CostVolume& in, CostVolume* out)
       : in_(in),
         out_(out),
-        sum_(static_cast<std::size_t>(kTileColumns + 2) * static_cast<std::size_t>(in.labels)),
+        sum_(static_cast<std::size_t>(in.labels)),
         pixels_(static_cast<std::size_t>(in.labels)) {}
 
   void Row(int y) {
     rows_ = {std::max(0, y - 1), y, std::min(in_.height - 1, y + 1)};
     for (int x = 0; x < in_.width; x += kTileColumns) {
       const int columns = std::min(kTileColumns, in_.width - x);
-      if (SameLabelsAround(x, columns)) {
+      if (columns > 1 && in_.range(x, y).count >= kLanes && MayReadAround(x, columns)) {
         WholeTile(x, columns);
       } else {
         for (int i = 0; i < columns; ++i) Pixel(x + i);
@@ -77,26 +116,50 @@ class Aggregator {
  private:
   int Wrapped(int x) const { return x < 0 ? x + in_.width : (x < in_.width ? x : x - in_.width); }
 
-  bool SameLabelsAround(int x, int columns) const {
-    const LabelRange& own = in_.range(x, rows_[1]);
+  // Whether there are costs before and after those of all pixels that a tile's means are of.
+  bool MayReadAround(int x, int columns) const {
     for (const int y : rows_) {
-      for (const int u : {Wrapped(x - 1), x, Wrapped(x + columns)}) {
-        if (!(in_.range(u, y) == own)) return false;
+      for (const int u : {Wrapped(x - 1), x, x + columns - 1, Wrapped(x + columns)}) {
+        const std::size_t offset = in_.offset(u, y);
+        const auto end = offset + static_cast<std::size_t>(in_.range(u, y).count);
+        if (offset < kLanes || end + kLanes > in_.cost.size()) return false;
       }
     }
     return true;
   }
 
+  // The labels from `label` on at the pixels from `x` on.
+  ColumnLabels LabelsAt(int x, int label) const {
+    ColumnLabels labels;
+    for (std::size_t k = 0; k < kRows; ++k) {
+      const LabelRange& there = in_.range(x, rows_[k]);
+      TileLabels& row = labels.row[k];
+      const int skipped = label - there.first;
+      if (skipped <= -kLanes || skipped >= there.count) {
+        row.at = in_.cost.data();  // all masked
+        continue;
+      }
+      row.at = in_.at(x, rows_[k]) + skipped;
+      row.stride = there.count;
+      for (int i = 0; i < kLanes; ++i) {
+        const bool searched = skipped + i >= 0 && skipped + i < there.count;
+        row.mask[i] = searched ? 255 : 0;
+        labels.searched[i] += searched ? 1U : 0U;
+      }
+    }
+    return labels;
+  }
+
   void WholeTile(int x, int columns) {
-    const int labels = in_.range(x, rows_[1]).count;
-    const auto add = [&](int u, int pixels, int at) {
-      AddRows(in_.at(u, rows_[0]), in_.at(u, rows_[1]), in_.at(u, rows_[2]), pixels * labels,
-              sum_.data() + static_cast<std::ptrdiff_t>(at) * labels);
-    };
-    add(Wrapped(x - 1), 1, 0);
-    add(x, columns, 1);
-    add(Wrapped(x + columns), 1, columns + 1);
-    MeanOfColumns(sum_.data(), columns * labels, labels, To(x));
+    const LabelRange& own = in_.range(x, rows_[1]);
+    std::uint8_t* to = To(x);
+    for (int k = 0; k < own.count; k += kLanes) {
+      // The last labels once more where their number is no multiple.
+      const int first = std::min(k, own.count - kLanes);
+      MeansOfTile(LabelsAt(Wrapped(x - 1), own.first + first), LabelsAt(x, own.first + first),
+                  LabelsAt(Wrapped(x + columns), own.first + first), columns, own.count,
+                  to + first);
+    }
   }
 
   void Pixel(int x) {

@@ -68,7 +68,16 @@ TEST(AggregateCosts, IsTheMeanAroundRoundTheGlobe) {
 }
 
 TEST(AggregateCosts, LeavesOutPixelsWhereALabelIsNotSearched) {
-  for (unsigned seed = 3; seed < 9; ++seed) ExpectMeans(Volume(72, 6, 20, true, seed));
+  for (unsigned seed = 3; seed < 9; ++seed) {
+    ExpectMeans(Volume(72, 6, 20, true, seed));
+    ExpectMeans(Volume(129, 7, 40, true, seed));  // the last tile is a pixel
+  }
+}
+
+TEST(AggregateCosts, KeepsTheLargestCosts) {
+  CostVolume volume = Volume(128, 12, 30, true, 13);
+  std::fill(volume.cost.begin(), volume.cost.end(), std::uint8_t{255});
+  ExpectMeans(volume);
 }
 
 TEST(AggregateCosts, HasMeansOfTheSmallestMaps) {
