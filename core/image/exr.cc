@@ -14,13 +14,16 @@
 #include <half.h>
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <string_view>
 #include <system_error>
 #include <utility>
 
 #include "core/base/parallel_for.h"
+#include "core/base/simd.h"
 #include "core/image/image_io.h"
 
 namespace omnihdr {
@@ -60,8 +63,29 @@ ExrPixelType FromImf(Imf::PixelType type) {
   return type == Imf::UINT ? ExrPixelType::kUint : ExrPixelType::kFloat;
 }
 
-std::uint16_t HalfBits(float value) {
-  return half(std::isnan(value) ? value : std::clamp(value, -kLargestHalf, kLargestHalf)).bits();
+// A row of every `stride`-th value as halves, rounded to the nearest, halfway to even; beyond
+// their range the largest.
+OMNIHDR_SIMD_CLONES
+void HalfRow(const float* __restrict values, int stride, int count, std::uint16_t* __restrict out) {
+  constexpr std::uint32_t kSign = 0x80000000U;
+  constexpr std::uint32_t kNotANumber = 0x7F800001U;
+  constexpr std::uint32_t kLeastNormal = 113U << 23U;  // 2^-14
+  // Added to less than that, it leaves the bits of a half's denormal number at the low end.
+  constexpr std::uint32_t kAligning = (127U - 15U + 23U - 10U + 1U) << 23U;
+  const float aligning = std::bit_cast<float>(kAligning);
+  for (int i = 0; i < count; ++i) {
+    const auto bits = std::bit_cast<std::uint32_t>(values[i * stride]);
+    const std::uint32_t sign = (bits & kSign) >> 16U;
+    const std::uint32_t magnitude = bits & ~kSign;
+    const float value = std::bit_cast<float>(magnitude);
+    const float limited = value < kLargestHalf ? value : kLargestHalf;
+    const auto normal = std::bit_cast<std::uint32_t>(limited);
+    const std::uint32_t rounded = (normal - (112U << 23U) + 0xFFFU + ((normal >> 13U) & 1U)) >> 13U;
+    const std::uint32_t denormal = std::bit_cast<std::uint32_t>(limited + aligning) - kAligning;
+    std::uint32_t half_bits = normal < kLeastNormal ? denormal : rounded;
+    half_bits = magnitude >= kNotANumber ? 0x7E00U : half_bits;
+    out[i] = static_cast<std::uint16_t>(half_bits | sign);
+  }
 }
 
 std::uint32_t WholeNumber(float value) {
@@ -70,19 +94,23 @@ std::uint32_t WholeNumber(float value) {
   return value < kEnd ? static_cast<std::uint32_t>(value) : 0xFFFFFFFFU;
 }
 
-// The channel's values as they are stored.
+// The channel's values as they are stored; `convert`: as HalfRow.
 template <typename T, typename Convert>
 Image<T> Stored(const ExrChannel& channel, const Convert& convert) {
-  Image<T> out(channel.pixels.width(), channel.pixels.height());
+  Image<T> out = Image<T>::Uninitialized(channel.pixels.width(), channel.pixels.height());
   ParallelFor(out.height(), 32, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
-      T* row = out.row(y);
-      for (int x = 0; x < out.width(); ++x) {
-        row[x] = convert(channel.pixels.at(x, y, channel.channel));
-      }
+      convert(channel.pixels.row(y) + channel.channel, channel.pixels.channels(), out.width(),
+              out.row(y));
     }
   });
   return out;
+}
+void CopyRow(const float* values, int stride, int count, float* out) {
+  for (int i = 0; i < count; ++i) out[i] = values[i * stride];
+}
+void WholeRow(const float* values, int stride, int count, std::uint32_t* out) {
+  for (int i = 0; i < count; ++i) out[i] = WholeNumber(values[i * stride]);
 }
 
 template <typename T>
@@ -193,15 +221,15 @@ Status WriteExr(const std::filesystem::path& path, const std::vector<ExrChannel>
       header.channels().insert(channel.name, Imf::Channel(type));
       switch (channel.type) {
         case ExrPixelType::kHalf:
-          halves[k] = Stored<std::uint16_t>(channel, HalfBits);
+          halves[k] = Stored<std::uint16_t>(channel, HalfRow);
           frame_buffer.insert(channel.name, SliceOf(type, &halves[k]));
           break;
         case ExrPixelType::kFloat:
-          floats[k] = Stored<float>(channel, [](float value) { return value; });
+          floats[k] = Stored<float>(channel, CopyRow);
           frame_buffer.insert(channel.name, SliceOf(type, &floats[k]));
           break;
         case ExrPixelType::kUint:
-          numbers[k] = Stored<std::uint32_t>(channel, WholeNumber);
+          numbers[k] = Stored<std::uint32_t>(channel, WholeRow);
           frame_buffer.insert(channel.name, SliceOf(type, &numbers[k]));
           break;
       }

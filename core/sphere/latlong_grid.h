@@ -53,6 +53,10 @@ class LatLongGrid {
   }
   int width() const { return width_; }
   int height() const { return height_; }
+  // For whole rows of rays: cosine and sine of the azimuth of every column's centre; sine and
+  // cosine of a row's angle from the zenith.
+  const std::array<float, 2>* columns() const { return columns_.data(); }
+  const std::array<float, 2>& row(int y) const { return rows_[static_cast<std::size_t>(y)]; }
   float x_scale() const { return x_scale_; }  // columns a radian
   float y_scale() const { return y_scale_; }  // rows a radian
 

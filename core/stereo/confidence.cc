@@ -92,14 +92,53 @@ float DisparityPrecision::Within(float disparity) const {
   return static_cast<float>(std::min(share, 1.0));
 }
 
+namespace {
+
+// DisparityPrecision::Within by table, to a thousandth.
+class WithinTable {
+ public:
+  // For disparities up to `most`.
+  WithinTable(const DisparityPrecision& precision, float most)
+      : scale_(static_cast<float>(kSteps) / std::max(most, 1e-6F)) {
+    for (std::size_t k = 0; k < share_.size(); ++k) {
+      share_[k] = precision.Within(static_cast<float>(k) / scale_);
+    }
+  }
+  float operator()(float disparity) const {
+    const float at = std::min(disparity * scale_, static_cast<float>(kSteps));
+    const auto k = std::min(static_cast<std::size_t>(at), std::size_t{kSteps - 1});
+    const float part = at - static_cast<float>(k);
+    return (1.0F - part) * share_[k] + part * share_[k + 1];
+  }
+
+ private:
+  static constexpr int kSteps = 1024;
+  std::array<float, kSteps + 1> share_{};
+  float scale_;
+};
+
+float LargestFiniteOf(const Image<float>& disparity) {
+  float most = 0.0F;
+  for (int y = 0; y < disparity.height(); ++y) {
+    const float* row = disparity.row(y);
+    for (int x = 0; x < disparity.width(); ++x) {
+      if (std::isfinite(row[x])) most = std::max(most, row[x]);
+    }
+  }
+  return most;
+}
+
+}  // namespace
+
 void CalibrateConfidence(const Image<float>& disparity, const DisparityPrecision& precision,
                          Image<float>* confidence) {
+  const WithinTable within(precision, LargestFiniteOf(disparity));
   ParallelFor(disparity.height(), 16, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       for (int x = 0; x < disparity.width(); ++x) {
         float& c = confidence->at(x, y);
         const float d = disparity.at(x, y);
-        c = d >= 0.0F ? ProbabilityRight(c) * precision.Within(d) : 0.0F;
+        c = d >= 0.0F ? ProbabilityRight(c) * within(d) : 0.0F;
       }
     }
   });

@@ -54,6 +54,22 @@ void PointsCylinder(Rays rays, Turn turn, float x_scale, float y_scale, float y_
   }
 }
 
+// `columns`, `row`: as LatLongGrid has them.
+OMNIHDR_SIMD_CLONES
+void TurnedRow(const std::array<float, 2>* __restrict columns, int step, int count,
+               std::array<float, 2> row, Turn turn, float* __restrict x, float* __restrict y,
+               float* __restrict z) {
+  const auto [sin_phi, cos_phi] = row;
+  for (int i = 0; i < count; ++i) {
+    const auto& [cos_theta, sin_theta] = columns[i * step];
+    const float rx = sin_phi * cos_theta;
+    const float ry = sin_phi * sin_theta;
+    x[i] = turn.m[0] * rx + turn.m[1] * ry + turn.m[2] * cos_phi;
+    y[i] = turn.m[3] * rx + turn.m[4] * ry + turn.m[5] * cos_phi;
+    z[i] = turn.m[6] * rx + turn.m[7] * ry + turn.m[8] * cos_phi;
+  }
+}
+
 // Rays from the view to the surface points, and how long they are.
 OMNIHDR_SIMD_CLONES
 void FromView(Rays rays, const float* __restrict disparity, std::array<float, 3> offset,
@@ -96,12 +112,8 @@ void RaysOfRow(const LatLongGrid& grid, int y, int first, int step,
   rays->x.resize(count);
   rays->y.resize(count);
   rays->z.resize(count);
-  for (std::size_t i = 0; i < count; ++i) {
-    const Eigen::Vector3f ray = world_from_grid * grid.Ray(first + static_cast<int>(i) * step, y);
-    rays->x[i] = ray.x();
-    rays->y[i] = ray.y();
-    rays->z[i] = ray.z();
-  }
+  TurnedRow(grid.columns() + first, step, static_cast<int>(count), grid.row(y),
+            Turn(world_from_grid), rays->x.data(), rays->y.data(), rays->z.data());
 }
 
 void PointsOnGrid(const RayRow& rays, const LatLongGrid& grid, PointRow* points) {

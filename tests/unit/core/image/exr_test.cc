@@ -8,6 +8,7 @@
 #include <OpenEXR/ImfOutputFile.h>
 #include <OpenEXR/ImfStandardAttributes.h>
 #include <gtest/gtest.h>
+#include <half.h>
 
 #include <cmath>
 #include <cstdlib>
@@ -113,6 +114,35 @@ TEST_F(Exr, WhatHalfCannotHoldIsClampedAndNanIsKept) {
   EXPECT_EQ(y.at(1, 0), -65504.0F);
   EXPECT_TRUE(std::isnan(y.at(2, 0)));
   EXPECT_EQ(y.at(3, 0), 65504.0F);
+}
+
+TEST_F(Exr, HalvesAreTheNearestAndHalfwayToEven) {
+  std::mt19937 generator(7);
+  std::uniform_real_distribution<float> exponent(-9.0F, 4.8F);
+  Image<float> image(512, 260, 2);
+  for (int y = 0; y < image.height(); ++y) {
+    for (int x = 0; x < image.width(); ++x) {
+      // Half of them lie halfway between two halves, denormal ones too.
+      const auto bits = static_cast<std::uint16_t>(y * image.width() + x) & 0x7BFFU;
+      const float low = half(half::FromBits, static_cast<std::uint16_t>(bits));
+      const float high = half(half::FromBits, static_cast<std::uint16_t>(bits + 1U));
+      const float sign = x % 3 == 0 ? -1.0F : 1.0F;
+      image.at(x, y, 1) =
+          sign * (y % 2 == 0 && std::isfinite(high) ? 0.5F * (low + high)
+                                                    : std::pow(10.0F, exponent(generator)));
+    }
+  }
+  ASSERT_TRUE(WriteExr(path(), {{"Y", image, ExrPixelType::kHalf, 1}}, {}));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_TRUE(back) << back.error().message;
+  for (int y = 0; y < image.height(); ++y) {
+    for (int x = 0; x < image.width(); ++x) {
+      const float value = image.at(x, y, 1);
+      const float expected = std::abs(value) >= 65504.0F ? std::copysign(65504.0F, value)
+                                                         : static_cast<float>(half(value));
+      ASSERT_EQ(back->channels.at("Y").at(x, y), expected) << value;
+    }
+  }
 }
 
 TEST_F(Exr, ALatLongPictureSaysSo) {

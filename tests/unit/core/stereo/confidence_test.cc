@@ -63,6 +63,21 @@ TEST(CalibrateConfidence, WhatIsNotKnownHasNone) {
   EXPECT_EQ(confidence.at(1, 0), 0.0F);
 }
 
+TEST(CalibrateConfidence, TakesThePrecisionOfEveryDisparityIntoAccount) {
+  const DisparityPrecision head{512.0, 0.044, 0.3};
+  Image<float> disparity(500, 1);
+  for (int x = 0; x < 500; ++x) disparity.at(x, 0) = 0.008F * static_cast<float>(x);
+  disparity.at(0, 0) = std::numeric_limits<float>::infinity();
+  Image<float> confidence(500, 1, 1, 0.9F);
+  CalibrateConfidence(disparity, head, &confidence);
+  for (int x = 0; x < 500; ++x) {
+    if (x == 0) continue;
+    EXPECT_NEAR(confidence.at(x, 0), ProbabilityRight(0.9F) * head.Within(disparity.at(x, 0)),
+                1e-3F);
+  }
+  EXPECT_LE(confidence.at(0, 0), confidence.at(499, 0));
+}
+
 TEST(DisparityPrecision, APanoramaAsFineAsThoseMeasuredTakesNothingAwayAndACoarseOneMore) {
   EXPECT_EQ((DisparityPrecision{1024.0, 0.0, 0.3}.Within(0.5F)), 1.0F);
   float last = 1.0F;
