@@ -17,8 +17,11 @@ constexpr std::size_t kCacheLine = 64;
 constexpr std::size_t kHugePage = std::size_t{2} << 20U;  // of x86-64, and of ARM64 with 4 kB pages
 // From here on the last huge page, on average half empty, is a small part of the whole.
 constexpr std::size_t kLarge = 4 * kHugePage;
+// From here on a freed array is kept: smaller ones the C library keeps by itself.
+constexpr std::size_t kPage = 4096;
+constexpr std::size_t kLeastKept = 64 * kPage;
 // Freed arrays that are kept for the next one of their size, in bytes together.
-constexpr std::size_t kMostKept = std::size_t{128} << 20U;
+constexpr std::size_t kMostKept = std::size_t{192} << 20U;
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 constexpr bool kKeeps = false;  // a sanitizer shall see every array come and go
 #else
@@ -35,11 +38,12 @@ struct Block {
 class KeptBlocks {
  public:
   // The smallest that does, but not one of which more than a third would lie idle; null: none.
-  void* Take(std::size_t bytes) {
+  void* Take(std::size_t bytes, std::size_t alignment) {
     const std::scoped_lock lock(mutex_);
     auto best = free_.end();
     for (auto block = free_.begin(); block != free_.end(); ++block) {
-      const bool fits = block->bytes >= bytes && block->bytes / 3 * 2 <= bytes;
+      const bool fits = block->bytes >= bytes && block->bytes / 3 * 2 <= bytes &&
+                        reinterpret_cast<std::uintptr_t>(block->memory) % alignment == 0;
       if (fits && (best == free_.end() || block->bytes <= best->bytes)) best = block;
     }
     if (best == free_.end()) return nullptr;
@@ -76,7 +80,7 @@ class KeptBlocks {
 
  private:
   std::mutex mutex_;
-  std::vector<Block> used_;  // tens at most
+  std::vector<Block> used_;  // some tens
   std::vector<Block> free_;  // longest unused first
   std::size_t kept_ = 0;
 };
@@ -89,30 +93,34 @@ KeptBlocks& Kept() {
 
 bool IsLarge(std::size_t bytes) { return bytes >= kLarge; }
 
+std::size_t AlignmentOf(std::size_t bytes) {
+  if (IsLarge(bytes)) return kHugePage;
+  return bytes >= kLeastKept ? kPage : kCacheLine;
+}
+
 }  // namespace
 
 void* AllocateLarge(std::size_t bytes) {
-  const std::size_t alignment = IsLarge(bytes) ? kHugePage : kCacheLine;
+  const std::size_t alignment = AlignmentOf(bytes);
   if (bytes > std::numeric_limits<std::size_t>::max() - kHugePage) throw std::bad_alloc();
   const std::size_t rounded = std::max(alignment, (bytes + alignment - 1) / alignment * alignment);
-  if (kKeeps && IsLarge(bytes)) {
-    if (void* kept = Kept().Take(rounded); kept != nullptr) return kept;
+  const bool is_kept = kKeeps && bytes >= kLeastKept;
+  if (is_kept) {
+    if (void* kept = Kept().Take(rounded, alignment); kept != nullptr) return kept;
   }
   void* memory = std::aligned_alloc(alignment, rounded);
   if (memory == nullptr) throw std::bad_alloc();
-  if (IsLarge(bytes)) {
-    // A wish: where the kernel has no huge pages, small ones do.
-    static_cast<void>(madvise(memory, rounded, MADV_HUGEPAGE));
-    if (kKeeps) Kept().Lent(memory, rounded);
-  }
+  // A wish: where the kernel has no huge pages, small ones do.
+  if (IsLarge(bytes)) static_cast<void>(madvise(memory, rounded, MADV_HUGEPAGE));
+  if (is_kept) Kept().Lent(memory, rounded);
   return memory;
 }
 
 void FreeLarge(void* memory) noexcept {
   if (memory == nullptr) return;
-  // Only what starts on a huge page can be a large one.
-  const bool may_be_large = reinterpret_cast<std::uintptr_t>(memory) % kHugePage == 0;
-  if (kKeeps && may_be_large && Kept().Return(memory)) return;
+  // Only what starts on a page can be one of those.
+  const bool may_be_kept = reinterpret_cast<std::uintptr_t>(memory) % kPage == 0;
+  if (kKeeps && may_be_kept && Kept().Return(memory)) return;
   std::free(memory);
 }
 

@@ -324,11 +324,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
   for (const SourceLookup& source : sources) {
     source_rows.emplace_back(*source.measurement, RowSampler::Contrast::kSampled);
   }
-  // What the reference says of every second pixel of every fourth row, once for all sources.
+  // What the reference says of every second pixel of every second row, once for all sources.
   constexpr int kStep = 2;
-  constexpr int kRowStep = 4;
   const int sampled_width = (width - kStep / 2 + kStep - 1) / kStep;
-  const int sampled_height = (height - kRowStep / 2 + kRowStep - 1) / kRowStep;
+  const int sampled_height = (height - kStep / 2 + kStep - 1) / kStep;
   Image<float> own_luminance(sampled_width, sampled_height);  // 0 where it counts for nothing
   Image<float> own_disparity(sampled_width, sampled_height);
   Image<float> own_confidence(sampled_width, sampled_height);
@@ -337,8 +336,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     PointRow points;
     SampledRow sampled;
     for (int row = begin; row < end; ++row) {
-      RaysOfRow(output, row * kRowStep + kRowStep / 2, kStep / 2, kStep, world_from_output_matrix,
-                &rays);
+      RaysOfRow(output, row * kStep + kStep / 2, kStep / 2, kStep, world_from_output_matrix, &rays);
       PointsInView(rays, own_from_world, own_sampler, &points);
       own_rows.Sample(points.x.data(), points.y.data(), rays.size(), &sampled);
       for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -367,7 +365,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
                                     static_cast<std::size_t>(blocks_y));
       for (int row = 0; row < sampled_height; ++row) {
-        const int y = row * kRowStep + kRowStep / 2;
+        const int y = row * kStep + kStep / 2;
         RaysOfRow(output, y, kStep / 2, kStep, world_from_output_matrix, &rays);
         const float* disparities = own_disparity.row(row);
         std::transform(disparities, disparities + sampled_width, known_disparity.begin(),
