@@ -21,8 +21,9 @@ void ApplianceTest::Launch(const Setup& setup) {
       "[session]\ndirectory = \"sessions\"\nname = \"s\"\n[api]\nsocket = \"api.sock\"\n"
       "[storage]\nallow_root = true\nwarn_free_mb = 0\nstop_free_mb = 0\nwarn_minutes = 0\n"
       "[camera]\nreconnect_s = 0.2\nframe_timeout_s = 20.0\n"
-      // The emulated head's sensors see no common world, and work that goes on in the background
-      // makes the guest's time slow.
+      // The emulated head's sensors see no common world. And where a pulse on the camera's wire is
+      // made at the camera and at the line one after the other, work that goes on in the background
+      // pulls the two apart by more than frames and edges are paired over.
       "check_orientation = false\n{}\n[bracket]\n{}\n"
       "[trigger]\narmed_at_start = true\n{}\n"
       "[gpio.outputs]\nchip = \"{}\"\nready = \"ready-out\"\nfault = \"fault-out\"\n{}\n"
