@@ -142,7 +142,7 @@ std::shared_ptr<CameraRelease> MakeReplayedCameraTrigger(const DaemonConfig& con
     Nanoseconds spacing() const override { return Nanoseconds(0); }
 
    private:
-    const SystemClock clock_;
+    SystemClock clock_;
   };
   if (!config.gpio.camera_trigger.configured()) return nullptr;
   return std::make_shared<Replayed>();

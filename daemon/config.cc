@@ -351,8 +351,8 @@ class Loader {
     constexpr const char* kKey = "gpio.outputs.camera_trigger";
     const DaemonConfig& config = loaded_.config;
     const gpio::CameraTriggerOptions options = config.gpio.CameraTrigger();
-    const auto problem = [&](const char* key, std::string message) {
-      Problem(line_of(kKey), key, std::move(message));
+    const auto problem = [&](const char* key, const std::string& message) {
+      Problem(line_of(kKey), key, message);
     };
     if (const Status valid = options.Validate(); !valid) {
       problem("gpio", valid.error().message);

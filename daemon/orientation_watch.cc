@@ -51,7 +51,7 @@ OrientationState OrientationWatch::state() const {
   return state_;
 }
 
-void OrientationWatch::SetState(OrientationState state, std::uint64_t of) {
+void OrientationWatch::SetState(const OrientationState& state, std::uint64_t of) {
   {
     std::lock_guard lock(mutex_);
     if (heads_ != of) return;  // another head has come meanwhile
@@ -81,7 +81,7 @@ void OrientationWatch::Look(const std::filesystem::path& file) {
     if (!check) {
       state.what = "off";
       state.text = check.error().message;
-      return SetState(std::move(state), head);
+      return SetState(state, head);
     }
     check_ = std::move(*check);
   }
@@ -103,7 +103,7 @@ void OrientationWatch::Look(const std::filesystem::path& file) {
       (report.verdict != OrientationVerdict::kUndecided || looks_ >= options_.most_looks)) {
     state.what = ToString(report.verdict);
   }
-  SetState(std::move(state), head);
+  SetState(state, head);
 }
 
 Status OrientationWatch::Run(const std::stop_token& stop, Stage& self) {

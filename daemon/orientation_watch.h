@@ -50,7 +50,7 @@ class OrientationWatch {
  private:
   Status Run(const std::stop_token& stop, Stage& self);
   void Look(const std::filesystem::path& file);
-  void SetState(OrientationState state, std::uint64_t of);
+  void SetState(const OrientationState& state, std::uint64_t of);
 
   const Told told_;
   const OrientationWatchOptions options_;

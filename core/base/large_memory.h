@@ -8,8 +8,8 @@ namespace omnihdr {
 // operator new does. Large ones are aligned to huge pages and ask the kernel for them
 // (transparent_hugepage = madvise or always; without it nothing changes): what reads another view's
 // pixels along curves is slowed down by translations of addresses more than by anything else. Up to
-// 192 MB of freed ones, from 256 kB on, are kept for the next ones of their sizes, except under sanitizers. Any
-// thread.
+// 192 MB of freed ones, from 256 kB on, are kept for the next ones of their sizes, except under
+// sanitizers. Any thread.
 void* AllocateLarge(std::size_t bytes);
 // Takes what AllocateLarge gave, or null.
 void FreeLarge(void* memory) noexcept;

@@ -185,7 +185,9 @@ Json InfoOf(const OpenCamera& open) {
 // A line each: what is within an object has the object's name before it.
 void PrintValue(const std::string& key, const Json& value) {
   if (value.is_object()) {
-    for (const auto& [name, member] : value.items()) PrintValue(key + "." + name, member);
+    for (const auto& [name, member] : value.items()) {
+      PrintValue(fmt::format("{}.{}", key, name), member);
+    }
     return;
   }
   std::string text = value.is_string() ? value.get<std::string>() : value.dump();

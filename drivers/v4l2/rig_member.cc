@@ -45,7 +45,7 @@ RigMember::RigMember(std::size_t number, std::string name, const V4l2CameraOptio
       system_(system.get()),
       camera_(options, std::move(system)) {}
 
-std::string RigMember::Explained(std::string why) const {
+std::string RigMember::Explained(const std::string& why) const {
   const std::string more = system_->why();
   return more.empty() ? why : why + ": " + more;
 }

@@ -79,7 +79,7 @@ class RigMember {
   void Leave(std::string why);
   void LookForIt();
   Status IsTheSame(const CameraInfo& info) const;
-  std::string Explained(std::string why) const;
+  std::string Explained(const std::string& why) const;
 
   const std::size_t number_;
   const std::string name_;
