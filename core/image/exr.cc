@@ -11,10 +11,8 @@
 #include <OpenEXR/ImfOutputFile.h>
 #include <OpenEXR/ImfStandardAttributes.h>
 #include <OpenEXR/ImfStringAttribute.h>
-#include <half.h>
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -23,13 +21,12 @@
 #include <utility>
 
 #include "core/base/parallel_for.h"
-#include "core/base/simd.h"
+#include "core/image/half_row.h"
 #include "core/image/image_io.h"
 
 namespace omnihdr {
 namespace {
 
-constexpr float kLargestHalf = 65504.0F;
 constexpr std::size_t kMaxExrValues = 4 * kMaxImagePixels;  // over all channels: 4 GiB of floats
 
 Imf::Compression ToImf(ExrCompression compression) {
@@ -61,31 +58,6 @@ Imf::PixelType ToImf(ExrPixelType type) {
 ExrPixelType FromImf(Imf::PixelType type) {
   if (type == Imf::HALF) return ExrPixelType::kHalf;
   return type == Imf::UINT ? ExrPixelType::kUint : ExrPixelType::kFloat;
-}
-
-// A row of every `stride`-th value as halves, rounded to the nearest, halfway to even; beyond
-// their range the largest.
-OMNIHDR_SIMD_CLONES
-void HalfRow(const float* __restrict values, int stride, int count, std::uint16_t* __restrict out) {
-  constexpr std::uint32_t kSign = 0x80000000U;
-  constexpr std::uint32_t kNotANumber = 0x7F800001U;
-  constexpr std::uint32_t kLeastNormal = 113U << 23U;  // 2^-14
-  // Added to less than that, it leaves the bits of a half's denormal number at the low end.
-  constexpr std::uint32_t kAligning = (127U - 15U + 23U - 10U + 1U) << 23U;
-  const float aligning = std::bit_cast<float>(kAligning);
-  for (int i = 0; i < count; ++i) {
-    const auto bits = std::bit_cast<std::uint32_t>(values[i * stride]);
-    const std::uint32_t sign = (bits & kSign) >> 16U;
-    const std::uint32_t magnitude = bits & ~kSign;
-    const float value = std::bit_cast<float>(magnitude);
-    const float limited = value < kLargestHalf ? value : kLargestHalf;
-    const auto normal = std::bit_cast<std::uint32_t>(limited);
-    const std::uint32_t rounded = (normal - (112U << 23U) + 0xFFFU + ((normal >> 13U) & 1U)) >> 13U;
-    const std::uint32_t denormal = std::bit_cast<std::uint32_t>(limited + aligning) - kAligning;
-    std::uint32_t half_bits = normal < kLeastNormal ? denormal : rounded;
-    half_bits = magnitude >= kNotANumber ? 0x7E00U : half_bits;
-    out[i] = static_cast<std::uint16_t>(half_bits | sign);
-  }
 }
 
 std::uint32_t WholeNumber(float value) {
