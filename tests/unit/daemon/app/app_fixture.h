@@ -307,8 +307,9 @@ class AppFixture : public ::testing::Test {
     return outcome_;
   }
   ApiClient Client() const { return ApiClient(config_.api.socket); }
+  // A minute: views run at the lowest priority, which on a busy machine can be next to nothing.
   static bool Eventually(const std::function<bool()>& holds) {
-    for (int i = 0; i < 1500; ++i) {
+    for (int i = 0; i < 6000; ++i) {
       if (holds()) return true;
       std::this_thread::sleep_for(milliseconds(10));
     }
