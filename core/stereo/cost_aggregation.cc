@@ -86,6 +86,26 @@ void MeansOfTile(const ColumnLabels& left, const ColumnLabels& own, const Column
 }
 
 OMNIHDR_SIMD_CLONES
+void AddRows(const std::uint8_t* __restrict above, const std::uint8_t* __restrict middle,
+             const std::uint8_t* __restrict below, int count, std::uint16_t* __restrict sum) {
+  for (int k = 0; k < count; ++k) {
+    sum[k] = static_cast<std::uint16_t>(above[k] + middle[k] + below[k]);
+  }
+}
+
+// `sum`: of three rows, from the pixel left of the first one on, `labels` values each.
+OMNIHDR_SIMD_CLONES
+void MeanOfColumns(const std::uint16_t* __restrict sum, int count, int labels,
+                   std::uint8_t* __restrict mean) {
+  const std::uint16_t* __restrict middle = sum + labels;
+  const std::uint16_t* __restrict right = sum + 2 * labels;
+  for (int k = 0; k < count; ++k) {
+    const std::uint32_t nine = std::uint32_t{sum[k]} + middle[k] + right[k];
+    mean[k] = static_cast<std::uint8_t>((nine * kReciprocal[kPixels] + 32768U) >> 16U);
+  }
+}
+
+OMNIHDR_SIMD_CLONES
 void AddLabels(const std::uint8_t* __restrict cost, int count, std::uint16_t* __restrict sum,
                std::uint8_t* __restrict pixels) {
   for (int k = 0; k < count; ++k) sum[k] = static_cast<std::uint16_t>(sum[k] + cost[k]);
@@ -98,15 +118,17 @@ class Aggregator {
   Aggregator(const CostVolume& in, CostVolume* out)
       : in_(in),
         out_(out),
-        sum_(static_cast<std::size_t>(in.labels)),
+        sum_(static_cast<std::size_t>(kTileColumns + 2) * static_cast<std::size_t>(in.labels)),
         pixels_(static_cast<std::size_t>(in.labels)) {}
 
   void Row(int y) {
     rows_ = {std::max(0, y - 1), y, std::min(in_.height - 1, y + 1)};
     for (int x = 0; x < in_.width; x += kTileColumns) {
       const int columns = std::min(kTileColumns, in_.width - x);
-      if (columns > 1 && in_.range(x, y).count >= kLanes && MayReadAround(x, columns)) {
-        WholeTile(x, columns);
+      if (SameLabelsAround(x, columns)) {
+        EvenTile(x, columns);
+      } else if (columns > 1 && in_.range(x, y).count >= kLanes && MayReadAround(x, columns)) {
+        UnevenTile(x, columns);
       } else {
         for (int i = 0; i < columns; ++i) Pixel(x + i);
       }
@@ -115,6 +137,29 @@ class Aggregator {
 
  private:
   int Wrapped(int x) const { return x < 0 ? x + in_.width : (x < in_.width ? x : x - in_.width); }
+
+  bool SameLabelsAround(int x, int columns) const {
+    const LabelRange& own = in_.range(x, rows_[1]);
+    for (const int y : rows_) {
+      for (const int u : {Wrapped(x - 1), x, Wrapped(x + columns)}) {
+        if (!(in_.range(u, y) == own)) return false;
+      }
+    }
+    return true;
+  }
+
+  // All labels of a tile's pixels lie one after the other, and line up with those around.
+  void EvenTile(int x, int columns) {
+    const int labels = in_.range(x, rows_[1]).count;
+    const auto add = [&](int u, int pixels, int at) {
+      AddRows(in_.at(u, rows_[0]), in_.at(u, rows_[1]), in_.at(u, rows_[2]), pixels * labels,
+              sum_.data() + static_cast<std::ptrdiff_t>(at) * labels);
+    };
+    add(Wrapped(x - 1), 1, 0);
+    add(x, columns, 1);
+    add(Wrapped(x + columns), 1, columns + 1);
+    MeanOfColumns(sum_.data(), columns * labels, labels, To(x));
+  }
 
   // Whether there are costs before and after those of all pixels that a tile's means are of.
   bool MayReadAround(int x, int columns) const {
@@ -150,7 +195,7 @@ class Aggregator {
     return labels;
   }
 
-  void WholeTile(int x, int columns) {
+  void UnevenTile(int x, int columns) {
     const LabelRange& own = in_.range(x, rows_[1]);
     std::uint8_t* to = To(x);
     for (int k = 0; k < own.count; k += kLanes) {
