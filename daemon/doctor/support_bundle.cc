@@ -181,16 +181,16 @@ class Bundle {
       if (library.starts_with("/usr/")) files.insert(library.substr(4));
     }
     std::set<std::string> names = {"gpsd", "libgpiod*", "omnihdr", "systemd", "udev"};
-    std::error_code error;
-    for (fs::directory_iterator it(machine_.At("/var/lib/dpkg/info"), error), end;
-         !error && it != end; it.increment(error)) {
-      if (it->path().extension() != ".list") continue;
-      std::ifstream list(it->path());
-      for (std::string line; std::getline(list, line);) {
-        if (!files.contains(line)) continue;
-        names.insert(it->path().stem());  // with its architecture where it may have several
-        break;
-      }
+    std::vector<std::string> search = {"dpkg-query", "--search"};
+    search.insert(search.end(), files.begin(), files.end());
+    // "package: path" or "package, package: path" a line; files of no package are told of as well.
+    const Result<std::string> owners = machine_.run(search);
+    std::istringstream found(owners ? *owners : "");
+    for (std::string line; std::getline(found, line);) {
+      const std::size_t end = line.rfind(": ");
+      if (end == std::string::npos || !files.contains(line.substr(end + 2))) continue;
+      std::istringstream packages(line.substr(0, end));
+      for (std::string name; std::getline(packages >> std::ws, name, ',');) names.insert(name);
     }
     std::vector<std::string> versions = {"dpkg-query", "-W"};
     versions.insert(versions.end(), names.begin(), names.end());

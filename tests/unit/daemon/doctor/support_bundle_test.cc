@@ -85,30 +85,32 @@ TEST_F(SupportBundle, HoldsWhatAHelperNeedsWithTheDaemonDown) {
 }
 
 TEST_F(SupportBundle, NamesThePackageOfEveryLibraryThatIsLoaded) {
-  std::vector<std::vector<std::string>> asked;
-  machine_.run = [&](const std::vector<std::string>& words) -> Result<std::string> {
-    if (words[0] != "dpkg-query") return Fail(ErrorKind::kUnavailable, "{}: not here", words[0]);
-    asked.push_back(words);
-    return "libstdc++6:amd64\t12.2.0\n";
-  };
   fs::path library;
   std::ifstream maps("/proc/self/maps");
   for (std::string line; std::getline(maps, line) && library.empty();) {
     if (line.find("/libstdc++.so.") != std::string::npos) library = line.substr(line.find('/'));
   }
-  // Packages give paths without /usr, too, and the loader either.
   library = fs::canonical(library);
   ASSERT_FALSE(library.empty());
-  machine_.root = path() / "machine";
-  fs::create_directories(path() / "machine/var/lib/dpkg/info");
-  testing::WriteText(
-      path() / "machine/var/lib/dpkg/info/libstdc++6:amd64.list",
-      "/.\n" + library.string().substr(library.string().find("/lib/")) + "\n/lib/changelog\n");
-  testing::WriteText(path() / "machine/var/lib/dpkg/info/bash.list", "/.\n/bin/bash\n");
+  // Packages give paths without /usr, too, and the loader either.
+  const std::string in_package = library.string().substr(library.string().find("/lib/"));
+  std::vector<std::vector<std::string>> asked;
+  machine_.run = [&](const std::vector<std::string>& words) -> Result<std::string> {
+    if (words[0] != "dpkg-query") return Fail(ErrorKind::kUnavailable, "{}: not here", words[0]);
+    asked.push_back(words);
+    if (words[1] == "-W") return "libstdc++6:amd64\t12.2.0\n";
+    return fmt::format(
+        "dpkg-query: no path found matching pattern /opt/own.so\n"
+        "diversion by dash from: /bin/sh\nlibstdc++6:amd64, second: {}\n",
+        in_package);
+  };
   ASSERT_TRUE(doctor::WriteSupportBundle(options_, machine_));
-  ASSERT_EQ(asked.size(), 1U);
-  EXPECT_THAT(asked[0], ::testing::ElementsAre("dpkg-query", "-W", "gpsd", "libgpiod*",
-                                               "libstdc++6:amd64", "omnihdr", "systemd", "udev"));
+  ASSERT_EQ(asked.size(), 2U);
+  EXPECT_EQ(asked[0][1], "--search");
+  EXPECT_THAT(asked[0], Contains(in_package));
+  EXPECT_THAT(asked[1],
+              ::testing::ElementsAre("dpkg-query", "-W", "gpsd", "libgpiod*", "libstdc++6:amd64",
+                                     "omnihdr", "second", "systemd", "udev"));
   const std::string versions = Unpacked().at("versions.txt");
   EXPECT_THAT(versions, HasSubstr("libstdc++6:amd64\t12.2.0"));
   EXPECT_THAT(versions, HasSubstr(library.string()));
