@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/base/parallel_for.h"
+#include "core/base/realtime.h"
 #include "core/session/session_reader.h"
 #include "daemon/api/token.h"
 
@@ -111,7 +112,10 @@ Status App::Run() {
   notifier_.Ready();
   spdlog::info("omnihdrd {} serves on {}{}", OMNIHDR_VERSION, config_.api.socket,
                config_.api.tcp.empty() ? "" : " and " + config_.api.tcp);
-  if (Status ran = loop_->Run(); !ran && outcome_) outcome_ = std::move(ran);
+  {
+    const RealtimeThread realtime(RealtimePriority::kTriggers);
+    if (Status ran = loop_->Run(); !ran && outcome_) outcome_ = std::move(ran);
+  }
   return TearDown();
 }
 

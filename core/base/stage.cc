@@ -5,11 +5,14 @@
 #include <exception>
 #include <utility>
 
+#include "core/base/realtime.h"
+
 namespace omnihdr {
 
 Stage::Stage(std::string name, Body body)
     : name_(std::move(name)), thread_([this, body = std::move(body)](std::stop_token stop) {
         pthread_setname_np(pthread_self(), name_.substr(0, 15).c_str());
+        LeaveRealtime();
         try {
           outcome_ = body(stop, *this);
         } catch (const std::exception& e) {

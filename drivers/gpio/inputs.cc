@@ -2,8 +2,6 @@
 
 #include <fmt/format.h>
 #include <poll.h>
-#include <pthread.h>
-#include <sched.h>
 #include <sys/eventfd.h>
 #include <unistd.h>
 
@@ -13,11 +11,12 @@
 #include <cmath>
 #include <utility>
 
+#include "core/base/realtime.h"
+
 namespace omnihdr::gpio {
 namespace {
 
 constexpr int kTurnMs = 200;
-constexpr int kPriority = 20;
 
 Nanoseconds FromSeconds(double seconds) {
   return Nanoseconds(static_cast<Nanoseconds::rep>(std::llround(seconds * 1e9)));
@@ -173,8 +172,7 @@ void Inputs::Report() {
 
 Status Inputs::Run(std::stop_token stop, Stage& self) {
   // Refused without the privilege: then the kernel's buffer has to do.
-  const sched_param priority{kPriority};
-  pthread_setschedparam(pthread_self(), SCHED_FIFO, &priority);
+  const RealtimeThread realtime(RealtimePriority::kEdges);
   const std::array<std::pair<Input*, bool>, 2> inputs = {
       {{&trigger_input_, false}, {&wheel_input_, true}}};
   while (!stop.stop_requested()) {

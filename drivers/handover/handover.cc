@@ -4,6 +4,8 @@
 
 #include <utility>
 
+#include "core/base/realtime.h"
+
 namespace omnihdr {
 
 void Handover::Open(HandoverLimits limits) {
@@ -38,7 +40,11 @@ void Handover::Start(std::string thread, Stage::Body body) {
   std::lock_guard lock(mutex_);
   running_ = true;
   Forget();
-  worker_ = std::make_unique<Stage>(std::move(thread), std::move(body));
+  worker_ = std::make_unique<Stage>(std::move(thread),
+                                    [body = std::move(body)](std::stop_token stop, Stage& stage) {
+                                      const RealtimeThread realtime(RealtimePriority::kCamera);
+                                      return body(std::move(stop), stage);
+                                    });
 }
 
 void Handover::Stop(const std::function<void(bool gone)>& stop_device) {
@@ -50,7 +56,8 @@ void Handover::Stop(const std::function<void(bool gone)>& stop_device) {
   }
   if (worker) {
     worker->RequestStop();
-    changed_.notify_all();
+    asked_.notify_all();
+    delivered_.notify_all();
     // It ends with an error only when an exception escaped it, and the camera stops either way.
     static_cast<void>(worker->Join());
     bool gone = false;
@@ -62,7 +69,8 @@ void Handover::Stop(const std::function<void(bool gone)>& stop_device) {
   }
   std::lock_guard lock(mutex_);
   Forget();
-  changed_.notify_all();
+  asked_.notify_all();
+  delivered_.notify_all();
 }
 
 void Handover::Forget() {
@@ -90,7 +98,7 @@ void Handover::Prepare(const Exposure& next) {
   std::lock_guard lock(mutex_);
   if (!running_ || !away_.empty() || !CheckLimits(next)) return;
   hint_ = next;
-  changed_.notify_all();
+  asked_.notify_all();
 }
 
 std::optional<Exposure> Handover::TakeHint() {
@@ -111,7 +119,7 @@ Status Handover::Trigger(const ExposureRequest& request) {
                 kMaxWaiting);
   }
   requests_.push_back(request);
-  changed_.notify_all();
+  asked_.notify_all();
   return {};
 }
 
@@ -129,8 +137,8 @@ bool Handover::HasRoom() const {
 
 Result<CameraFrame> Handover::Receive(Nanoseconds timeout) {
   std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, timeout,
-                    [this] { return !running_ || !away_.empty() || !frames_.empty(); });
+  delivered_.wait_for(lock, timeout,
+                      [this] { return !running_ || !away_.empty() || !frames_.empty(); });
   if (!away_.empty()) return Forward(Unavailable("", away_));
   if (!running_) return Forward(Unavailable("receive: ", "not started"));
   if (frames_.empty()) {
@@ -145,8 +153,8 @@ Result<CameraFrame> Handover::Receive(Nanoseconds timeout) {
 std::optional<ExposureRequest> Handover::Take(Nanoseconds timeout, const std::stop_token& stop) {
   std::unique_lock lock(mutex_);
   if (timeout > Nanoseconds(0)) {
-    changed_.wait_for(lock, timeout,
-                      [&] { return !requests_.empty() || hint_ || stop.stop_requested(); });
+    asked_.wait_for(lock, timeout,
+                    [&] { return !requests_.empty() || hint_ || stop.stop_requested(); });
   }
   if (!away_.empty() || stop.stop_requested() || requests_.empty()) return std::nullopt;
   ExposureRequest request = requests_.front();
@@ -158,7 +166,7 @@ std::optional<ExposureRequest> Handover::Take(Nanoseconds timeout, const std::st
 void Handover::Deliver(CameraFrame frame) {
   std::lock_guard lock(mutex_);
   frames_.push_back(std::move(frame));
-  changed_.notify_all();
+  delivered_.notify_all();
 }
 
 void Handover::Done() {
@@ -170,14 +178,15 @@ void Handover::Finish(CameraFrame frame) {
   std::lock_guard lock(mutex_);
   frames_.push_back(std::move(frame));
   if (taken_ > 0) --taken_;
-  changed_.notify_all();
+  delivered_.notify_all();
 }
 
 void Handover::GoAway(std::string reason) {
   std::lock_guard lock(mutex_);
   away_ = std::move(reason);
   Forget();
-  changed_.notify_all();
+  asked_.notify_all();
+  delivered_.notify_all();
 }
 
 CameraFrame Handover::Missed(const ExposureRequest& request, std::string why,

@@ -90,7 +90,9 @@ class Handover {
 
   const std::string camera_;
   mutable std::mutex mutex_;
-  std::condition_variable changed_;
+  // Two, so that a trigger wakes no one but the worker, which then finds the mutex free.
+  std::condition_variable asked_;
+  std::condition_variable delivered_;
   HandoverLimits limits_;
   bool open_ = false;
   bool running_ = false;

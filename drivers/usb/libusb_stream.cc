@@ -5,14 +5,17 @@
 #include <condition_variable>
 #include <deque>
 #include <mutex>
+#include <thread>
 #include <utility>
 
+#include "core/base/realtime.h"
 #include "core/base/stage.h"
 
 namespace omnihdr::usb {
 namespace {
 
 constexpr Nanoseconds kCancelDeadline = std::chrono::seconds(5);
+constexpr auto kAfterError = std::chrono::milliseconds(10);
 constexpr int kMaxErrorsInARow = 64;
 constexpr int kMaxRevivals = 3;
 
@@ -139,10 +142,14 @@ class LibusbStream final : public BulkStream {
   explicit LibusbStream(std::unique_ptr<Ring> ring)
       : ring_(std::move(ring)),
         events_("usb-events", [ring = ring_.get()](std::stop_token stop, Stage& stage) {
+          const RealtimeThread realtime(RealtimePriority::kTransfers);
           while (!stop.stop_requested()) {
             stage.Progress();
             timeval wait{0, 100'000};
-            libusb_handle_events_timeout_completed(ring->context.get(), &wait, nullptr);
+            const int code =
+                libusb_handle_events_timeout_completed(ring->context.get(), &wait, nullptr);
+            // An error that stays must not take the processor.
+            if (code != LIBUSB_SUCCESS) std::this_thread::sleep_for(kAfterError);
           }
           return Status{};
         }) {}

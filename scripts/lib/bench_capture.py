@@ -11,7 +11,7 @@
   scripts/bench capture --no-build       run what build/release has
 
 The table has every number beside what tests/bench/targets.json asks for. rate: raw frames of 1024 x 4608 from edge to
-durable journal while the views of the same frames keep the processors busy. overload: edges at four times the rate.
+durable journal while the views of the same frames keep the processors busy. overload: edges at eight times the rate.
 stress: a disk that takes a quarter of a second to synchronise, and four programs that compute; then both end.
 views: from the trigger of the last position that a view needs, two on, to the view, 2048 x 1024. Run it on a machine with nothing else to
 do: the emulated camera and bus compute on the same processors, and times are of the whole.

@@ -650,6 +650,13 @@ IidcDevice::Moved IidcDevice::ReadStream(std::span<std::byte> buffer) {
   return moved;
 }
 
+bool IidcDevice::StreamIsReady() {
+  std::lock_guard lock(mutex_);
+  if (!plugged_in_ || faults_.stall_stream > 0) return true;
+  TakeWhatIsDue();
+  return !sending_.empty() && sending_.front().ready <= clock_.Now();
+}
+
 void IidcDevice::Set(const Faults& faults) {
   std::lock_guard lock(mutex_);
   faults_ = faults;

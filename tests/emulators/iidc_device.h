@@ -65,6 +65,8 @@ class IidcDevice {
   // Moves what is ready into `buffer`.
   using Moved = DeviceMoved;
   Moved ReadStream(std::span<std::byte> buffer);
+  // Whether ReadStream would move anything, or has anything to tell.
+  bool StreamIsReady();
 
   // Faults; the counts are of the next pictures or requests.
   struct Faults {

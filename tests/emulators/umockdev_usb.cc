@@ -1,20 +1,27 @@
 #include "tests/emulators/umockdev_usb.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <linux/usbdevice_fs.h>
 #include <sys/ioctl.h>
+#include <sys/stat.h>
 #include <umockdev.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
 #include <deque>
+#include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
 #include <utility>
 
+#include "core/base/file.h"
 #include "tests/emulators/iidc_usb_function.h"
 
 namespace omnihdr::emulators {
@@ -57,6 +64,33 @@ struct Urb {
   usbdevfs_urb* get() const { return reinterpret_cast<usbdevfs_urb*>(data.get()->data); }
 };
 
+// Makes poll() on a device's node wait as usbfs does: ready for writing while a transfer has ended
+// and has not been reaped. umockdev's nodes are plain files, always ready, on which libusb's event
+// thread would spin and take a processor. The node becomes a pipe of one page instead, full while
+// nothing is ready. Not thread-safe.
+class PollableNode {
+ public:
+  PollableNode() = default;
+  explicit PollableNode(const std::string& path) {
+    ::unlink(path.c_str());
+    if (::mkfifo(path.c_str(), 0666) != 0) return;
+    pipe_ = Fd(::open(path.c_str(), O_RDWR | O_NONBLOCK | O_CLOEXEC));
+    if (::fcntl(pipe_.get(), F_SETPIPE_SZ, 4096) < 0) std::abort();
+    SetReady(false);
+  }
+
+  void SetReady(bool ready) {
+    if (ready == ready_ || !pipe_.valid()) return;
+    char byte = 0;
+    const ssize_t moved = ready ? ::read(pipe_.get(), &byte, 1) : ::write(pipe_.get(), &byte, 1);
+    if (moved == 1) ready_ = ready;
+  }
+
+ private:
+  Fd pipe_;
+  bool ready_ = true;
+};
+
 }  // namespace
 
 struct UmockdevUsb::Impl {
@@ -85,6 +119,10 @@ struct UmockdevUsb::Impl {
     umockdev_testbed_attach_ioctl(testbed.get(), node.c_str(), handler.get(), &error);
     Check(error, "attach the ioctl handler");
     present = true;
+    const std::lock_guard lock(mutex);
+    const std::unique_ptr<gchar, decltype(&g_free)> root(
+        umockdev_testbed_get_root_dir(testbed.get()), &g_free);
+    pollable = PollableNode(root.get() + node);
   }
 
   void Remove() {
@@ -108,6 +146,30 @@ struct UmockdevUsb::Impl {
 
   void Handle(UMockdevIoctlClient* client) {
     std::lock_guard lock(mutex);
+    Respond(client);
+    TellPoll();
+  }
+
+  void TellPoll() {
+    const bool waits = std::any_of(urbs.begin(), urbs.end(), [](const Urb& urb) {
+      return urb.type == USBDEVFS_URB_TYPE_BULK && !urb.done;
+    });
+    pollable.SetReady(
+        !device->plugged_in() || (waits && device->StreamIsReady()) ||
+        std::any_of(urbs.begin(), urbs.end(), [](const Urb& urb) { return urb.done; }));
+  }
+
+  // The device's memory can be filled during one of the client's calls only, so pictures go there
+  // when the client reaps; this looks whether it is worth its while.
+  void LookForPictures(const std::stop_token& stop) {
+    while (!stop.stop_requested()) {
+      std::this_thread::sleep_for(std::chrono::microseconds(300));
+      const std::lock_guard lock(mutex);
+      TellPoll();
+    }
+  }
+
+  void Respond(UMockdevIoctlClient* client) {
     const unsigned long request = umockdev_ioctl_client_get_request(client);
     const Data arg(umockdev_ioctl_client_get_arg(client));
     g_object_ref(arg.get());
@@ -254,6 +316,8 @@ struct UmockdevUsb::Impl {
   bool present = false;
   std::mutex mutex;
   std::deque<Urb> urbs;
+  PollableNode pollable;
+  std::jthread looker{[this](const std::stop_token& stop) { LookForPictures(stop); }};
 };
 
 UmockdevUsb::UmockdevUsb(std::shared_ptr<IidcDevice> device)

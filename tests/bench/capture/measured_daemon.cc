@@ -1,6 +1,7 @@
 #include "tests/bench/capture/measured_daemon.h"
 
 #include <fmt/format.h>
+#include <sched.h>
 #include <signal.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -25,6 +26,11 @@ using integration::Program;
 // Nice= of systemd/omnihdrd.service.
 constexpr int kServiceNice = -5;
 constexpr double kMegabyte = 1024.0 * 1024.0;
+
+void UsualScheduling() {
+  const sched_param none{};
+  ::sched_setscheduler(0, SCHED_OTHER, &none);
+}
 
 emulators::IidcDeviceOptions Head(const HeadSize& size) {
   emulators::IidcDeviceOptions options;
@@ -73,6 +79,7 @@ CpuHogs::CpuHogs(int count) {
   for (int i = 0; i < count; ++i) {
     const pid_t pid = ::fork();
     if (pid == 0) {
+      UsualScheduling();
       ::setpriority(PRIO_PROCESS, 0, 0);
       for (volatile bool on = true; on;) {
       }
@@ -94,9 +101,14 @@ std::unique_ptr<Program> StartAsService(const std::string& name,
                                         const std::filesystem::path& log,
                                         const std::vector<std::string>& environment) {
   const int before = ::getpriority(PRIO_PROCESS, 0);
+  const int policy = ::sched_getscheduler(0);
+  sched_param parameters{};
+  ::sched_getparam(0, &parameters);
+  UsualScheduling();
   ::setpriority(PRIO_PROCESS, 0, kServiceNice);  // refused without privilege: then as we are
   auto program = std::make_unique<Program>(name, arguments, log, environment);
   ::setpriority(PRIO_PROCESS, 0, before);
+  ::sched_setscheduler(0, policy, &parameters);
   return program;
 }
 
