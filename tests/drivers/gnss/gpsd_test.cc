@@ -12,11 +12,15 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
+#include <fstream>
 #include <functional>
+#include <memory>
 #include <thread>
 
 #include "core/base/tcp.h"
 #include "drivers/gnss/gpsd_client.h"
+#include "tests/support/temporary_directory.h"
 
 namespace omnihdr::gpsd_test {
 namespace {
@@ -329,9 +333,43 @@ class RealGpsd {
   std::jthread feeder_;
 };
 
-TEST(GpsdClient, AReceiversFixesComeThroughARealGpsd) {
-  const char* const program = InstalledGpsd();
-  if (program == nullptr) GTEST_SKIP() << "gpsd is not installed (Debian package gpsd)";
+// gpsd's own test program: a log of sentences for a gpsd that it starts.
+constexpr const char* kGpsfake = "/usr/local/bin/gpsfake";
+
+class FakedGpsd {
+ public:
+  FakedGpsd(const std::filesystem::path& log, int port) {
+    std::ofstream sentences(log);
+    for (int i = 0; i < 600; ++i) sentences << Second(i);
+    sentences.close();
+    const std::string text = std::to_string(port);
+    pid_ = fork();
+    if (pid_ == 0) {
+      setpgid(0, 0);  // with the gpsd that it starts
+      const int null = open("/dev/null", O_RDWR);
+      for (const int fd : {0, 1, 2}) dup2(null, fd);
+      execl("/usr/bin/python3", "python3", kGpsfake, "-q", "-n", "-c", "0.03", "-P", text.c_str(),
+            log.c_str(), nullptr);
+      _exit(127);
+    }
+  }
+  ~FakedGpsd() {
+    if (pid_ <= 0) return;
+    kill(pid_, SIGINT);
+    int status = 0;
+    const bool ended = Eventually([&] { return waitpid(pid_, &status, WNOHANG) == pid_; });
+    kill(-pid_, SIGKILL);
+    if (!ended) waitpid(pid_, &status, 0);
+  }
+  FakedGpsd(const FakedGpsd&) = delete;
+  FakedGpsd& operator=(const FakedGpsd&) = delete;
+
+ private:
+  pid_t pid_ = -1;
+};
+
+// A client that began before there was a gpsd, and the fixes it has once `start` has made one.
+void ExpectFixesOnceStarted(const std::function<std::shared_ptr<void>(int port)>& start) {
   int port = 0;
   {
     const Result<Fd> free_port = ListenTcp("127.0.0.1", 0);
@@ -344,7 +382,7 @@ TEST(GpsdClient, AReceiversFixesComeThroughARealGpsd) {
   gnss::GpsdClient client(options, clock);
   ASSERT_TRUE(client.Start());  // before there is a gpsd
   ASSERT_TRUE(Eventually([&] { return client.report().errors > 0; }));
-  const RealGpsd gpsd(program, port);
+  const std::shared_ptr<void> gpsd = start(port);
   ASSERT_TRUE(Eventually(
       [&] {
         const auto fix = client.Fix(clock.Now());
@@ -369,6 +407,22 @@ TEST(GpsdClient, AReceiversFixesComeThroughARealGpsd) {
         return later && later->lat_deg > fix.lat_deg + 1e-5;
       },
       20));
+}
+
+TEST(GpsdClient, AReceiversFixesComeThroughARealGpsd) {
+  const char* const program = InstalledGpsd();
+  if (program == nullptr) GTEST_SKIP() << "gpsd is not installed (Debian package gpsd)";
+  ExpectFixesOnceStarted([&](int port) { return std::make_shared<RealGpsd>(program, port); });
+}
+
+TEST(GpsdClient, ALogsFixesComeThroughARealGpsdFedByGpsfake) {
+  if (InstalledGpsd() == nullptr || access(kGpsfake, X_OK) != 0) {
+    GTEST_SKIP() << "gpsd or gpsfake is not installed (scripts/setup tests)";
+  }
+  const testing::TemporaryDirectory directory;
+  ExpectFixesOnceStarted([&](int port) {
+    return std::make_shared<FakedGpsd>(directory.path() / "receiver.nmea", port);
+  });
 }
 
 }  // namespace
