@@ -186,6 +186,7 @@ Status App::MakeController() {
   options.retake = config_.bracket.retake;
   options.retakes = last_retakes_;
   options.burst = config_.trigger.burst;
+  options.busy_patience = Nanoseconds(std::llround(config_.trigger.busy_wait_s * 1e9));
   options.wired = config_.trigger.wired;
   controller_ = std::make_unique<CaptureController>(
       std::move(plan), session_ ? session_->info.camera : CameraDescription{}, options,

@@ -177,6 +177,7 @@ struct TriggerConfig {
   bool burst = false;  // a whole bracket at each trigger, at one position
   bool wired =
       false;  // the camera hangs on the same wire: edges are observed, nothing is commanded
+  double busy_wait_s = 0.05;  // of a trigger for a camera that is busy with the picture before
   int rearm_after = 8;  // triggers without a frame after which the camera is opened anew; 0 = never
 };
 

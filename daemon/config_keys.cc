@@ -417,6 +417,7 @@ std::vector<ConfigKey> MakeKeys() {
   add(Switch("trigger.armed_at_start", OMNIHDR_MEMBER(trigger.armed_at_start)));
   add(Switch("trigger.burst", OMNIHDR_MEMBER(trigger.burst)));
   add(Switch("trigger.wired", OMNIHDR_MEMBER(trigger.wired)));
+  add(Number("trigger.busy_wait_s", "seconds", 0, 10, OMNIHDR_MEMBER(trigger.busy_wait_s)));
   add(Whole("trigger.rearm_after", "triggers", 0, 1000, OMNIHDR_MEMBER(trigger.rearm_after)));
 
   AddVehicleKeys(keys);

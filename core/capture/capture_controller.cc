@@ -206,7 +206,8 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
     return Fail(ErrorKind::kTemporary,
                 "trigger refused: as many lines as may wait to be stored do so already");
   }
-  const bool burst_before = !waiting_.empty();
+  if (!options_.burst) CommandWaiting();
+  const bool busy_before = !waiting_.empty();
   AcceptedTrigger accepted;
   for (int i = 0; i < frames; ++i) {
     const ExposureRequest request = NextRequest(event);
@@ -220,15 +221,17 @@ Result<AcceptedTrigger> CaptureController::OnTrigger(const TriggerEvent& event) 
     }
     if (options_.wired) {
       ObserveEdge(request, request.trigger_time);
-    } else if (burst_before) {
-      OpenMissed(request, MissReason::kCameraBusy, "the burst before has not ended");
+    } else if (busy_before) {
+      OpenMissed(request, MissReason::kCameraBusy,
+                 options_.burst ? "the burst before has not ended"
+                                : "the trigger before still waits for the busy camera");
     } else if (options_.burst) {
       BeginBurst(request);
     } else {
       CommandNow(request);
     }
   }
-  if (!burst_before) CommandWaiting();
+  if (!busy_before) CommandWaiting();
   if (options_.wired) PairWaitingFrames();
   SubmitEnded();
   return accepted;
@@ -253,12 +256,25 @@ void CaptureController::CommandNow(const ExposureRequest& request) {
     return;
   }
   if (Status commanded = command_(request); !commanded) {
+    if (WaitFor(request, commanded.error())) return;
     sink_.ReleaseBuffer();
     CountCameraMiss(commanded.error().kind);
     OpenMissed(request, ReasonOf(commanded.error().kind), commanded.error().message);
     return;
   }
   ledger_.Open(request, FrameDeadline(request), true);
+}
+
+bool CaptureController::WaitFor(const ExposureRequest& request, const Error& refusal) {
+  // A camera that refuses with nothing on its way is not busy with a picture.
+  if (refusal.kind != ErrorKind::kTemporary || options_.busy_patience <= Nanoseconds(0) ||
+      !waiting_.empty() || ledger_.open() == 0) {
+    return false;
+  }
+  waiting_until_ = clock_.Now() + options_.busy_patience;
+  ledger_.Open(request, waiting_until_, true);
+  waiting_.push_back({request, true});
+  return true;
 }
 
 void CaptureController::BeginBurst(const ExposureRequest& request) {
@@ -287,6 +303,10 @@ void CaptureController::CommandWaiting() {
     }
     waiting_.pop_front();
     ledger_.Await(next.request.trigger, FrameDeadline(next.request), true);
+    if (commanded && !options_.burst) {
+      ++counts_.waited;
+      if (Planned* planned = FindPlanned(next.request.trigger)) planned->waited = true;
+    }
     if (!commanded) {
       const MissReason reason = ReasonOf(commanded.error().kind);
       ++counts_.missed[static_cast<std::size_t>(reason)];
@@ -294,7 +314,7 @@ void CaptureController::CommandWaiting() {
                       std::nullopt);
     }
   }
-  ask_again_ = clock_.Now() + options_.burst_retry;
+  ask_again_ = clock_.Now() + options_.busy_retry;
 }
 
 void CaptureController::GiveUpWaiting() {
@@ -303,7 +323,10 @@ void CaptureController::GiveUpWaiting() {
   for (const Waiting& waiting : waiting_) {
     ++counts_.missed[static_cast<std::size_t>(waits_for_)];
     ledger_.Resolve(waiting.request.trigger, FrameStatus::kMissedTrigger,
-                    waits_for_ == MissReason::kNoBuffer
+                    !options_.burst
+                        ? fmt::format("the camera was busy with the picture before for {} ms",
+                                      options_.busy_patience.count() / 1'000'000)
+                    : waits_for_ == MissReason::kNoBuffer
                         ? "no free frame buffer before the end of the burst's time"
                         : "the camera stayed busy until the end of the burst's time",
                     std::nullopt);
@@ -479,6 +502,10 @@ CaptureLine CaptureController::MakeLine(TriggerOutcome outcome) {
     if (record.proof == ExposureProof::kFile) record.step.reset();
     record.timestamp = frame.mid_exposure;
     record.timestamp_error = frame.mid_exposure_error;
+    if (planned.waited && positions_ != nullptr) {
+      const std::optional<double> exposed_at = positions_->OdometerMetres(frame.mid_exposure);
+      if (exposed_at) record.odometer_m = exposed_at;
+    }
     // The edge is stamped by the kernel, and the camera's own time only says that it is the one.
     if (frame.wired && request.unseen_edge.empty()) {
       const auto exposure = Nanoseconds(std::llround(record.exposure.time.seconds() * 1e9));

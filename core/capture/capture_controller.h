@@ -58,8 +58,11 @@ struct CaptureOptions {
   // An event takes a whole position: as many triggers as it has frames, commanded one after the
   // other as soon as the camera accepts them.
   bool burst = false;
-  // How soon a busy camera is asked again within a burst.
-  Nanoseconds burst_retry = std::chrono::milliseconds(2);
+  // How long a trigger waits for a camera that is busy with the picture before, one at a time; its
+  // line then has the metres of the exposure, not of the event. 0 = it is missed at once.
+  Nanoseconds busy_patience{0};
+  // How soon a busy camera is asked again, of a burst or of a trigger that waits.
+  Nanoseconds busy_retry = std::chrono::milliseconds(2);
   // The camera hangs on the trigger's wire and exposes by itself: edges are observed, and frames
   // are paired with them.
   bool wired = false;
@@ -89,6 +92,7 @@ struct CaptureCounts {
   std::uint64_t camera_gaps = 0;    // frames the camera's own counter says were lost
   std::uint64_t lost_unlisted = 0;  // reported lost by the source beyond max_lost_lines
   std::array<std::uint64_t, kMissReasonCount> missed{};  // lines by MissReason
+  std::uint64_t waited = 0;       // triggers whose exposure a busy camera put off
   std::uint64_t retaken = 0;      // steps taken again because their exposure was not proved
   std::uint64_t clock_jumps = 0;  // of the camera's clock against the host's
   // Of a wired camera: edges that got no frame, frames that no edge was seen for (a line each), and
@@ -117,6 +121,9 @@ struct AcceptedTrigger {
 // frame a position, by the next trigger, and the bracket goes on behind it, put off by the triggers
 // that this took; in a burst at once, at the same position and for the same trigger. The frame that
 // was not proved is journaled in the first case and replaced in the second.
+//
+// A trigger that finds the camera busy with the picture before waits for it, one at a time
+// (CaptureOptions::busy_patience): its exposure comes late, which its line's times say.
 //
 // A wired camera (CaptureOptions::wired) is commanded nothing: a trigger is an edge that was seen,
 // and a frame belongs to the edge at which its exposure began (EdgePairing). An edge before one
@@ -197,6 +204,7 @@ class CaptureController {
   // lines, so that the next burst is a position of its own.
   void EndBrokenBurst(const TriggerEvent& event);
   void CommandNow(const ExposureRequest& request);
+  bool WaitFor(const ExposureRequest& request, const Error& refusal);
   void BeginBurst(const ExposureRequest& request);
   void CommandWaiting();
   void GiveUpWaiting();
@@ -238,13 +246,15 @@ class CaptureController {
     std::uint64_t index = 0;  // in the order of the bracket
     std::uint64_t retakes = 0;
     int step = 0;
+    bool waited = false;  // for a busy camera: exposed later than at its event
   };
   Planned* FindPlanned(TriggerId trigger);
   std::deque<Planned> planned_;
   // Of the bracket's order, the place that was last taken again, and how often.
   std::optional<std::uint64_t> retaken_index_;
   int retaken_times_ = 0;
-  // Triggers of a burst that the camera has not accepted yet; in the ledger already.
+  // Triggers of a burst, or the one that waits for a busy camera, that the camera has not accepted
+  // yet; in the ledger already.
   struct Waiting {
     ExposureRequest request;
     bool holds_buffer = false;

@@ -142,6 +142,7 @@ Json StatusToJson(const StatusReport& s) {
         {"camera_gaps", s.capture.camera_gaps},
         {"lost_unlisted", s.capture.lost_unlisted},
         {"without_session", s.triggers_without_session},
+        {"waited", s.capture.waited},
         {"retaken", s.capture.retaken},
         {"edges_without_frame", s.capture.edges_without_frame},
         {"frames_without_edge", s.capture.frames_without_edge},
@@ -283,6 +284,8 @@ std::string StatusToMetrics(const StatusReport& s) {
   m.One("omnihdr_triggers_lost_unlisted_total", "counter",
         "Events the trigger source reported lost that got no journal line.",
         AsDouble(s.capture.lost_unlisted));
+  m.One("omnihdr_triggers_waited_total", "counter",
+        "Triggers whose exposure a busy camera put off.", AsDouble(s.capture.waited));
   m.One("omnihdr_steps_retaken_total", "counter",
         "Steps of the bracket taken again because their exposure was not proved.",
         AsDouble(s.capture.retaken));

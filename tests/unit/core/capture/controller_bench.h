@@ -13,9 +13,12 @@
 
 namespace omnihdr::testing_capture {
 
-class FixedPosition final : public PositionSource {
- public:
-  std::optional<double> OdometerMetres(HostTime) const override { return 12.5; }
+// 12.5 m at one second.
+struct SteadyWay final : public PositionSource {
+  std::optional<double> OdometerMetres(HostTime at) const override {
+    return 12.5 + metres_per_s * (static_cast<double>(at.ns()) * 1e-9 - 1.0);
+  }
+  double metres_per_s = 0.0;
 };
 
 inline BracketPlan Sawtooth(int frames_per_position = 1) {
@@ -48,7 +51,7 @@ struct Bench {
   const FrameRecord& record(std::size_t i) const { return sink.lines.at(i).record; }
 
   SimulatedClock clock;
-  FixedPosition positions;
+  SteadyWay positions;
   KeepingSink sink;
   std::string refusal;
   std::vector<ExposureRequest> commanded;
