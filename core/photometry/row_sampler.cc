@@ -89,21 +89,30 @@ void ContrastRow(const float* __restrict above, const float* __restrict middle,
   }
 }
 
+// Flags of a blend of pixels of which any has `any` and all have `all`, and in the upper byte which
+// bits only some have of those for which the nearest pixel is taken.
+OMNIHDR_ALWAYS_INLINE std::uint16_t FlagsOfBlend(std::uint8_t any, std::uint8_t all,
+                                                 std::uint8_t take_nearest) {
+  const auto some = static_cast<std::uint8_t>(any ^ all);
+  // What is partly clipped is dark only where all of it is.
+  const auto dark = static_cast<std::uint8_t>((some & kSaturatedAny) != 0 ? all : any);
+  const auto flags = static_cast<std::uint8_t>((any & ~kDarkAny) | (dark & kDarkAny));
+  return static_cast<std::uint16_t>(flags | (some & take_nearest) << 8);
+}
+
 // Of pixels and those right of them in two rows that are `width` long.
 OMNIHDR_SIMD_CLONES
 void AroundRow(const std::uint8_t* __restrict upper, const std::uint8_t* __restrict lower,
-               int width, std::uint16_t* __restrict out) {
+               int width, std::uint8_t take_nearest, std::uint16_t* __restrict out) {
   for (int i = 0; i + 1 < width; ++i) {
     const auto any = static_cast<std::uint8_t>(upper[i] | upper[i + 1] | lower[i] | lower[i + 1]);
     const auto all = static_cast<std::uint8_t>(upper[i] & upper[i + 1] & lower[i] & lower[i + 1]);
-    const auto some = static_cast<std::uint16_t>((any ^ all) & (kSaturatedAny | kMasked));
-    out[i] = static_cast<std::uint16_t>(any | some << 8);
+    out[i] = FlagsOfBlend(any, all, take_nearest);
   }
   const int i = width - 1;
   const auto any = static_cast<std::uint8_t>(upper[i] | upper[0] | lower[i] | lower[0]);
   const auto all = static_cast<std::uint8_t>(upper[i] & upper[0] & lower[i] & lower[0]);
-  const auto some = static_cast<std::uint16_t>((any ^ all) & (kSaturatedAny | kMasked));
-  out[i] = static_cast<std::uint16_t>(any | some << 8);
+  out[i] = FlagsOfBlend(any, all, take_nearest);
 }
 
 }  // namespace
@@ -130,16 +139,18 @@ Image<float> ContrastOf(const Measurement& m) {
   return contrast;
 }
 
-RowSampler::RowSampler(const Measurement& m, Contrast contrast)
+RowSampler::RowSampler(const Measurement& m, Contrast contrast, Rim rim)
     : m_(&m),
+      rim_(rim),
       is_cylinder_(m.projection.kind() == ProjectionKind::kCylindrical),
       around_(Image<std::uint16_t>::Uninitialized(m.flags.width(), m.flags.height() + 1)),
       contrast_(contrast == Contrast::kSampled ? ContrastOf(m) : Image<float>()) {
   const int height = m.flags.height();
+  const std::uint8_t take_nearest = rim == Rim::kBound ? kMasked : kSaturatedAny | kMasked;
   ParallelFor(height + 1, 32, [&](int begin, int end) {
     for (int y = begin; y < end; ++y) {
       AroundRow(m.flags.row(std::max(0, y - 1)), m.flags.row(std::min(height - 1, y)),
-                m.flags.width(), around_.row(y));
+                m.flags.width(), take_nearest, around_.row(y));
     }
   });
 }
@@ -149,6 +160,8 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
   const bool has_contrast = !contrast_.empty();
   out->contrast.resize(has_contrast ? count : 0);
   out->flags.resize(count);
+  const bool bounds = rim_ == Rim::kBound;
+  out->clipped.assign(bounds ? count : 0, 0.0F);
   const float* pixels = m_->radiance.data();
   const std::uint8_t* flags = m_->flags.data();
   const std::uint16_t* around = around_.data();
@@ -182,11 +195,13 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
       const std::uint16_t found = around[taps.around[i]];
       if (has_contrast) out->contrast[from + i] = contrast[taps.nearest[i]];
       if (found >> 8U != 0) {
-        // The rim of a clipped or masked area: a blend would be neither measured nor a bound.
+        // The rim of a masked area has nothing to blend with. That of a clipped one has no value:
+        // a blend is a bound at best.
         const std::ptrdiff_t one = first + (taps.ax[i] < 0.5F ? 0 : taps.right[i]) +
                                    (taps.ay[i] < 0.5F ? 0 : taps.below[i]);
         sample = at(one);
         out->flags[from + i] = flags[one];
+        if (bounds && (flags[one] & kSaturatedAny) != 0) out->clipped[from + i] = 1.0F;
         continue;
       }
       const std::ptrdiff_t below = first + taps.below[i];
@@ -195,6 +210,13 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
       sample = (1.0F - ay) * ((1.0F - ax) * at(first) + ax * at(first + taps.right[i])) +
                ay * ((1.0F - ax) * at(below) + ax * at(below + taps.right[i]));
       out->flags[from + i] = static_cast<std::uint8_t>(found);
+      if (!bounds || (found & kSaturatedAny) == 0) continue;
+      const auto clipped = [&](std::ptrdiff_t index) {
+        return (flags[index] & kSaturatedAny) != 0 ? 1.0F : 0.0F;
+      };
+      out->clipped[from + i] =
+          (1.0F - ay) * ((1.0F - ax) * clipped(first) + ax * clipped(first + taps.right[i])) +
+          ay * ((1.0F - ax) * clipped(below) + ax * clipped(below + taps.right[i]));
     }
     TakeApart(rgba.data(), chunk, out->radiance[0].data() + from, out->radiance[1].data() + from,
               out->radiance[2].data() + from);

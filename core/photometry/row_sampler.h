@@ -16,6 +16,7 @@ struct SampledRow {
   std::array<std::vector<float>, 3> radiance;
   std::vector<float> contrast;  // change of luminance per pixel around the nearest pixel
   std::vector<std::uint8_t> flags;
+  std::vector<float> clipped;  // the clipped pixels' share of the blend (Rim::kBound only)
   std::size_t size() const { return flags.size(); }
 };
 
@@ -28,14 +29,19 @@ inline RadianceSample SampleOf(const SampledRow& row, std::size_t i) {
 class RowSampler {
  public:
   enum class Contrast { kNone, kSampled };
-  RowSampler(const Measurement& m, Contrast contrast);
+  // What is said where only some of the four pixels around a point are clipped: the nearest pixel
+  // alone, as PanoramaSampler; or the blend of all four, which is a bound (the channels that any
+  // has clipped are saturated; those that all have dark are dark), and how much of it is clipped.
+  enum class Rim : std::uint8_t { kNearest, kBound };
+  RowSampler(const Measurement& m, Contrast contrast, Rim rim = Rim::kNearest);
   void Sample(const float* x, const float* y, std::size_t count, SampledRow* out) const;
 
  private:
   const Measurement* m_;
+  Rim rim_;
   bool is_cylinder_;
-  // Of the four pixels around a point whose upper left one is (x, y - 1): bits that any has, and,
-  // from the ninth on, which of them not all have.
+  // Of the four pixels around a point whose upper left one is (x, y - 1): the blend's flags, and,
+  // from the ninth on, bits that only some have and for which the nearest is taken.
   Image<std::uint16_t> around_;
   Image<float> contrast_;
 };

@@ -31,7 +31,7 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kSureConfidence = 0.7F;
 constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
-constexpr float kLeastBlockSamples = 4.0F;
+constexpr float kLeastBlockSamples = 8.0F;  // of sixteen: fewer are an edge, no mean
 constexpr float kLeastTrust = 0.2F;
 constexpr float kLeastShare = 0.1F;  // of the weight, to be told as a source
 constexpr int kLeastWitnesses = 2;   // views that must agree on what is behind a mover
@@ -40,11 +40,42 @@ constexpr float kHalfTrustSigmas =
 
 constexpr int kBlock = 8;  // output pixels
 
+constexpr float kGuess = 0.5F;  // confidence in infinity where there is no map
+
+// Expected error of a place, in pixels.
+float Misregistration(const MergeOptions& options, float confidence) {
+  return options.misalignment_px + (1.0F - confidence) * options.distrusted_px;
+}
+
+// Of the pixels of a block that both views measured.
 struct BlockSums {
   float mine = 0.0F;
   float theirs = 0.0F;
   float noise = 0.0F;
   float count = 0.0F;
+  float misregistration = 0.0F;  // pixels
+  // Along x and y: of places, from the block's middle, their squares, and places times `theirs`.
+  std::array<float, 2> place{};
+  std::array<float, 2> place_squared{};
+  std::array<float, 2> theirs_by_place{};
+
+  void AddPlace(std::size_t axis, float at, float theirs_here) {
+    place[axis] += at;
+    place_squared[axis] += at * at;
+    theirs_by_place[axis] += at * theirs_here;
+  }
+  // The square of how `theirs`, on average, changes from a pixel to the next: by so much a block's
+  // mean is off when it was looked up a pixel away.
+  float SlopeSquared() const {
+    float sum = 0.0F;
+    for (std::size_t axis = 0; axis < 2; ++axis) {
+      const float spread = place_squared[axis] - place[axis] * place[axis] / count;
+      if (!(spread > 0.5F * count)) continue;  // all in a line across
+      const float slope = (theirs_by_place[axis] - place[axis] * theirs / count) / spread;
+      sum += slope * slope;
+    }
+    return sum;
+  }
 };
 
 // Whether a surface's radiance is within the good part of both views' ranges. The longer, cleaner
@@ -221,6 +252,20 @@ MergedPixel MergePixel(std::size_t count, const std::array<std::uint8_t, kMaxMer
   return result;
 }
 
+// On the rim of a clipped area the reference did measure a part of a pixel: of the rest alone, the
+// share `clipped`, do the others say how bright it is. Edges of lamps and windows are sharper than
+// registration is good, and what the others hold may be of either side.
+void FillClippedPart(const MergeSample& mine, float clipped, const std::array<float, 3>& saturation,
+                     MergedPixel* pixel) {
+  for (std::size_t c = 0; c < 3; ++c) {
+    const float others = pixel->radiance[c];
+    pixel->radiance[c] = (mine.flags & kSaturatedBit[c]) != 0
+                             ? mine.radiance[c] + clipped * std::max(others - saturation[c], 0.0F)
+                             : (1.0F - clipped) * mine.radiance[c] + clipped * others;
+  }
+  if (1.0F - clipped >= kLeastShare) pixel->sources |= 1U;
+}
+
 constexpr float kLeastExposureChange = 0.03F;  // less is light, gloss and vignetting
 constexpr std::size_t kLeastExposureViews = 2;
 
@@ -318,7 +363,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       static_cast<float>(AgreementField::kWidth) / static_cast<float>(width);
   const float cells_per_pixel_y =
       static_cast<float>(AgreementField::kHeight) / static_cast<float>(height);
-  const RowSampler own_rows(own, RowSampler::Contrast::kNone);
+  const RowSampler own_rows(
+      own, RowSampler::Contrast::kNone,
+      options.consistency ? RowSampler::Rim::kBound : RowSampler::Rim::kNearest);
   std::vector<RowSampler> source_rows;
   source_rows.reserve(sources.size());
   for (const SourceLookup& source : sources) {
@@ -394,6 +441,11 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           block.theirs += theirs_y;
           block.noise += noise;
           block.count += 1.0F;
+          block.misregistration += Misregistration(
+              options, map == nullptr ? kGuess : own_confidence.at(static_cast<int>(i), row));
+          constexpr float kMiddle = 0.5F * (kBlock - 1);
+          block.AddPlace(0, static_cast<float>(x % kBlock) - kMiddle, theirs_y);
+          block.AddPlace(1, static_cast<float>(y % kBlock) - kMiddle, theirs_y);
           if (map != nullptr && own_confidence.at(static_cast<int>(i), row) < kTrustedScore)
             continue;
           if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
@@ -423,7 +475,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                                       (static_cast<float>(by) + 0.5F) * kBlock * cells_per_pixel_y);
           const float gap = b.mine - factor * b.theirs;
           const float tolerance = options.block_error * std::max(b.mine, factor * b.theirs);
-          const float r = gap * gap / (9.0F * (b.noise + tolerance * tolerance));
+          const float misplaced = factor * b.misregistration;
+          const float variance =
+              b.noise + tolerance * tolerance + misplaced * misplaced * b.SlopeSquared();
+          const float r = gap * gap / (9.0F * variance);
           source.block_trust.at(bx, by) = 1.0F / (1.0F + r * r);
         }
       }
@@ -478,9 +533,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       const float* confidences = view.confidence.row(y);
       const float* disparities = view.disparity.row(y);
       for (std::size_t i = 0; i < misregistration.size(); ++i) {
-        misregistration[i] =
-            options.misalignment_px +
-            (1.0F - (map == nullptr ? 0.5F : confidences[i])) * options.distrusted_px;
+        misregistration[i] = Misregistration(options, map == nullptr ? kGuess : confidences[i]);
       }
       plain.Start(own, mine_row);
       for (std::size_t n = 0; n < sources.size(); ++n) {
@@ -573,8 +626,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           if ((mine.flags & (kSaturatedAny | kDarkAny)) != 0) DropMinority(count, &samples);
         }
 
-        const MergedPixel pixel =
+        MergedPixel pixel =
             MergePixel(count, view_bit, confidences[i], by_hat, options.consistency, &samples);
+        if (options.consistency && mine_row.clipped[i] > 0.0F && mine_row.clipped[i] < 1.0F &&
+            (mine.flags & kMasked) == 0) {
+          FillClippedPart(mine, mine_row.clipped[i], own.saturation, &pixel);
+        }
         std::copy(pixel.radiance.begin(), pixel.radiance.end(), out);
         view.sources.at(x, y) = pixel.sources;
         view.origin.at(x, y) = static_cast<std::uint8_t>(pixel.origin);

@@ -87,10 +87,12 @@ std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& o
 // pixel only says "at least". Saturated samples never contribute a value. Where the reference is
 // saturated and every other view counts as hidden, what they hold there is taken after all if it
 // is bright enough: one wrong disparity would otherwise leave a dark dot. For the same reason the
-// bound of a view that is clipped there counts unless the disparity is sure. Where the reference is
-// masked, others fill in only where the disparity is trusted. `map` is the reference's
-// disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone, disparity
-// unknown.
+// bound of a view that is clipped there counts unless the disparity is sure. On the rim of a
+// clipped area, where an output pixel lies between clipped pixels and others, the reference's blend
+// is such a bound, and what is found in the other views is taken for the clipped part of it alone.
+// Where the reference is masked, others fill in only where the disparity is trusted. `map` is the
+// reference's disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone,
+// disparity unknown.
 MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                       const std::vector<MergeSource>& others,
                       const Eigen::Quaterniond& world_from_output, int width,

@@ -84,6 +84,41 @@ TEST(RowSampler, SamplesACylinderAsOneByOneAndNothingBeyondItsEnds) {
   ExpectAsOneByOne(Random(Projection::Cylindrical(64, 40, -1.0, 1.0), 64, 40), -1.0F, 41.0F);
 }
 
+TEST(RowSampler, OnTheRimOfAClippedAreaItGivesABoundWhenAsked) {
+  Measurement m = Random(Projection::Equirectangular(16, 8), 16, 8);
+  for (int y = 0; y < 8; ++y) {
+    for (int x = 0; x < 16; ++x) {
+      m.flags.at(x, y) = x < 5 ? kDarkB : kSaturatedAny;
+      for (int c = 0; c < 3; ++c) m.radiance.pixel(x, y)[c] = x < 5 ? 0.1F : 1.5F;
+    }
+  }
+  const RowSampler rows(m, RowSampler::Contrast::kNone, RowSampler::Rim::kBound);
+  const std::vector<float> x = {3.0F, 4.75F, 5.25F, 9.0F};
+  const std::vector<float> y(x.size(), 4.0F);
+  SampledRow sampled;
+  rows.Sample(x.data(), y.data(), x.size(), &sampled);
+  const std::vector<float> clipped = {0.0F, 0.25F, 0.75F, 1.0F};
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    EXPECT_NEAR(sampled.clipped[i], clipped[i], 1e-5F);
+    EXPECT_NEAR(sampled.radiance[1][i], 0.1F + 1.4F * clipped[i], 1e-5F);
+    EXPECT_EQ(sampled.flags[i], i == 0 ? kDarkB : kSaturatedAny);
+  }
+}
+
+TEST(RowSampler, OnTheRimOfAMaskedAreaTheNearestPixelSpeaksThoughABoundIsAskedFor) {
+  Measurement m = Random(Projection::Equirectangular(16, 8), 16, 8);
+  for (std::uint8_t& f : m.flags.values()) f = kMasked;
+  m.flags.at(5, 4) = kSaturatedAny;
+  const RowSampler rows(m, RowSampler::Contrast::kNone, RowSampler::Rim::kBound);
+  const std::vector<float> x = {5.75F, 6.25F};
+  const std::vector<float> y(x.size(), 4.5F);
+  SampledRow sampled;
+  rows.Sample(x.data(), y.data(), x.size(), &sampled);
+  EXPECT_EQ(sampled.flags, (std::vector<std::uint8_t>{kSaturatedAny, kMasked}));
+  EXPECT_EQ(sampled.clipped, (std::vector<float>{1.0F, 0.0F}));
+  EXPECT_EQ(sampled.radiance[1][0], m.radiance.pixel(5, 4)[1]);
+}
+
 TEST(ContrastOf, IsTheChangePerPixelRoundTheGlobe) {
   Measurement m = Random(Projection::Equirectangular(8, 4), 8, 4);
   for (int y = 0; y < 4; ++y) {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "core/stereo/view_merge.h"
 #include "tests/unit/core/stereo/drive.h"
@@ -96,6 +97,59 @@ TEST(MergeOfClippedPixels, ABoundCountsAlsoWhereAnUnsureDisparityHidesIt) {
   EXPECT_EQ(ShareOfShorterBound(0.5F, 4.0F), 1.0);
   EXPECT_LT(ShareOfShorterBound(1.0F, 4.0F), 0.95);  // a sure one hides
   EXPECT_EQ(ShareOfShorterBound(0.5F, 0.3F), 1.0);   // a longer exposure's bound says nothing
+}
+
+// A wall that saturates the own frame, with what `at` says along each row, as an exposure that
+// saturates at `saturation` measures it.
+template <typename At>
+Measurement Rows(float saturation, const At& at) {
+  Measurement m = Even(0.0F, saturation);
+  for (int y = 0; y < kHeight; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      const float e = at(x);
+      for (int c = 0; c < 3; ++c) m.radiance.pixel(x, y)[c] = std::min(e, saturation);
+      if (e >= saturation) m.flags.at(x, y) = kSaturatedAny;
+    }
+  }
+  return m;
+}
+
+TEST(MergeOfClippedPixels, OnTheRimTheOthersSayOnlyWhatThePartThatClippedWas) {
+  const Measurement own = Rows(1.0F, [](int x) { return x == 40 ? 0.1F : 3.0F; });
+  // So far from its place in the other view that this shows the wall all over.
+  const Measurement other = Rows(8.0F, [](int) { return 3.0F; });
+  // Output pixels lie a quarter of a pixel beside the frames'.
+  const Eigen::Quaterniond turned(
+      Eigen::AngleAxisd(0.25 * 2.0 * std::numbers::pi / kWidth, Eigen::Vector3d::UnitZ()));
+  const MergedView view = MergeViews({&own, Pose{}, nullptr}, nullptr, {{&other, Pose{}, nullptr}},
+                                     turned, kWidth, MergeOptions{});
+  EXPECT_NEAR(view.radiance.at(38, 32, 1), 3.0F, 0.02F);
+  EXPECT_NEAR(view.radiance.at(40, 32, 1), 0.75F * 0.1F + 0.25F * 3.0F, 0.05F);
+  EXPECT_NEAR(view.radiance.at(41, 32, 1), 0.25F * 0.1F + 0.75F * 3.0F, 0.05F);
+  EXPECT_EQ(view.sources.at(40, 32) & 1, 1);
+}
+
+TEST(MergeOfClippedPixels, AnEdgeBesideThemThatIsHalfAPixelOffDoesNotBringTheOtherIntoDiscredit) {
+  const auto scene = [](float edge) {  // of the second pixel of eight, in every fourth block
+    return [edge](int x) {
+      if (x % 32 == 1) return edge;
+      return x % 8 == 0 ? 0.05F : (x % 8 < 5 ? 0.9F : 3.0F);
+    };
+  };
+  const Measurement own = Rows(1.0F, scene(0.9F));
+  const Measurement other = Rows(8.0F, scene(0.475F));
+  const MergedView view = MergeAtOnePlace(own, other, MergeOptions{});
+  EXPECT_NEAR(view.radiance.at(38, 32, 1), 3.0F, 0.1F);
+}
+
+TEST(MergeOfClippedPixels, WhatIsDarkerAllOverABlockIsNotTheSameSurface) {
+  const auto scene = [](float level) {
+    return [level](int x) { return x % 8 < 4 ? level : 3.0F; };
+  };
+  const Measurement own = Rows(1.0F, scene(0.5F));
+  const Measurement other = Rows(8.0F, scene(0.1F));
+  const MergedView view = MergeAtOnePlace(own, other, MergeOptions{});
+  EXPECT_NEAR(view.radiance.at(42, 32, 1), 0.5F, 0.05F);
 }
 
 TEST(MergeWithoutOcclusion, WhatIsHiddenIsTakenFromWhatHidesIt) {
