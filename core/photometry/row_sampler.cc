@@ -11,6 +11,8 @@ namespace omnihdr {
 namespace {
 
 constexpr int kChunk = 64;  // points worked on at a time
+// Of a blend, to count as clipped: points on a pixel are off it by rounding.
+constexpr float kLeastClipped = 1.0F / 256.0F;
 
 // Where the four pixels around each point lie, in pixels from the first one.
 struct Taps {
@@ -192,16 +194,16 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
         return Eigen::Map<const Eigen::Array4f, Eigen::Aligned16>(pixels + 4 * index);
       };
       const std::ptrdiff_t first = taps.first[i];
+      const std::ptrdiff_t nearest =
+          first + (taps.ax[i] < 0.5F ? 0 : taps.right[i]) + (taps.ay[i] < 0.5F ? 0 : taps.below[i]);
       const std::uint16_t found = around[taps.around[i]];
       if (has_contrast) out->contrast[from + i] = contrast[taps.nearest[i]];
       if (found >> 8U != 0) {
         // The rim of a masked area has nothing to blend with. That of a clipped one has no value:
         // a blend is a bound at best.
-        const std::ptrdiff_t one = first + (taps.ax[i] < 0.5F ? 0 : taps.right[i]) +
-                                   (taps.ay[i] < 0.5F ? 0 : taps.below[i]);
-        sample = at(one);
-        out->flags[from + i] = flags[one];
-        if (bounds && (flags[one] & kSaturatedAny) != 0) out->clipped[from + i] = 1.0F;
+        sample = at(nearest);
+        out->flags[from + i] = flags[nearest];
+        if (bounds && (flags[nearest] & kSaturatedAny) != 0) out->clipped[from + i] = 1.0F;
         continue;
       }
       const std::ptrdiff_t below = first + taps.below[i];
@@ -214,9 +216,14 @@ void RowSampler::Sample(const float* x, const float* y, std::size_t count, Sampl
       const auto clipped = [&](std::ptrdiff_t index) {
         return (flags[index] & kSaturatedAny) != 0 ? 1.0F : 0.0F;
       };
-      out->clipped[from + i] =
+      const float share =
           (1.0F - ay) * ((1.0F - ax) * clipped(first) + ax * clipped(first + taps.right[i])) +
           ay * ((1.0F - ax) * clipped(below) + ax * clipped(below + taps.right[i]));
+      out->clipped[from + i] = share;
+      if (share < kLeastClipped) {
+        out->clipped[from + i] = 0.0F;
+        out->flags[from + i] = flags[nearest];
+      }
     }
     TakeApart(rgba.data(), chunk, out->radiance[0].data() + from, out->radiance[1].data() + from,
               out->radiance[2].data() + from);

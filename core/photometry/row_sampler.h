@@ -32,6 +32,7 @@ class RowSampler {
   // What is said where only some of the four pixels around a point are clipped: the nearest pixel
   // alone, as PanoramaSampler; or the blend of all four, which is a bound (the channels that any
   // has clipped are saturated; those that all have dark are dark), and how much of it is clipped.
+  // Less than a 256th counts for nothing.
   enum class Rim : std::uint8_t { kNearest, kBound };
   RowSampler(const Measurement& m, Contrast contrast, Rim rim = Rim::kNearest);
   void Sample(const float* x, const float* y, std::size_t count, SampledRow* out) const;

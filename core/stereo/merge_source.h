@@ -39,6 +39,9 @@ struct SourceLookup {
   // How far the source is trusted in each block of output pixels, 0..1: a mean over a block shows a
   // wrong registration that the noise of a single dark pixel hides.
   Image<float> block_trust;
+  // The same for pixels that are clipped in the reference. What it measured beside them is mostly
+  // edges, whose means a slight misregistration moves.
+  Image<float> clipped_trust;
 };
 
 enum class Sight : std::uint8_t { kUnknown, kHidden, kVisible };

@@ -31,7 +31,8 @@ constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kSureConfidence = 0.7F;
 constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no ratio worth averaging
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
-constexpr float kLeastBlockSamples = 8.0F;  // of sixteen: fewer are an edge, no mean
+constexpr float kLeastBlockSamples = 4.0F;         // of sixteen
+constexpr float kLeastClippedBlockSamples = 8.0F;  // fewer beside clipped ones are an edge, no mean
 constexpr float kLeastTrust = 0.2F;
 constexpr float kLeastShare = 0.1F;  // of the weight, to be told as a source
 constexpr int kLeastWitnesses = 2;   // views that must agree on what is behind a mover
@@ -463,6 +464,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       source.agreement.Fit(residuals);
       source.exposure_ratio = Median(std::move(exposure_ratios));
       source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
+      source.clipped_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
       if (!options.consistency) continue;
       for (int by = 0; by < blocks_y; ++by) {
         for (int bx = 0; bx < blocks_x; ++bx) {
@@ -475,11 +477,16 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
                                       (static_cast<float>(by) + 0.5F) * kBlock * cells_per_pixel_y);
           const float gap = b.mine - factor * b.theirs;
           const float tolerance = options.block_error * std::max(b.mine, factor * b.theirs);
+          const float variance = b.noise + tolerance * tolerance;
+          const auto trust = [gap](float v) {
+            const float r = gap * gap / (9.0F * v);
+            return 1.0F / (1.0F + r * r);
+          };
+          source.block_trust.at(bx, by) = trust(variance);
+          if (b.count < kLeastClippedBlockSamples) continue;
           const float misplaced = factor * b.misregistration;
-          const float variance =
-              b.noise + tolerance * tolerance + misplaced * misplaced * b.SlopeSquared();
-          const float r = gap * gap / (9.0F * variance);
-          source.block_trust.at(bx, by) = 1.0F / (1.0F + r * r);
+          source.clipped_trust.at(bx, by) =
+              trust(variance + misplaced * misplaced * b.SlopeSquared());
         }
       }
     }
@@ -587,7 +594,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           s.flags = scaled.flags;
           s.usable = (scaled.flags & kSaturatedAny) == 0;
           s.hidden = sight == Sight::kHidden;
-          s.trust = row.trust[i];
+          s.trust = own_is_clipped ? source.clipped_trust.at(x / kBlock, y / kBlock) : row.trust[i];
           s.relative = options.model_error * options.model_error + source.agreement.excess();
           for (std::size_t c = 0; c < 3; ++c) s.variance[c] = row.variance[c][i];
           if (by_hat) {
