@@ -9,6 +9,7 @@
 #include <thread>
 #include <utility>
 
+#include "core/base/background.h"
 #include "core/base/parallel_for.h"
 #include "core/base/realtime.h"
 #include "core/session/session_reader.h"
@@ -288,7 +289,7 @@ void App::StartSessionStages() {
       clock_.Now());
   supervisor_.Watch(
       "pipeline", [this] { return pipeline_stage_->progress(); }, parts_.patience.pipeline,
-      clock_.Now());
+      clock_.Now(), BackgroundWait);
 }
 
 Status App::TearDown() {

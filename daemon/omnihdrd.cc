@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <string>
 
+#include "core/base/heap.h"
 #include "daemon/app.h"
 #include "daemon/config.h"
 #include "daemon/event_loop.h"
@@ -57,6 +58,7 @@ Status Main(const Arguments& arguments) {
 }  // namespace omnihdr
 
 int main(int argc, char** argv) {
+  omnihdr::LimitHeap();
   omnihdr::Arguments arguments;
   CLI::App app("omnihdrd: takes differently exposed panoramas and turns them into HDR views");
   app.set_version_flag("--version", "omnihdrd " OMNIHDR_VERSION);

@@ -2,14 +2,17 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <utility>
 
 namespace omnihdr {
 
 void Supervisor::Watch(std::string name, std::function<std::uint64_t()> progress,
-                       Nanoseconds patience, HostTime now) {
+                       Nanoseconds patience, HostTime now, std::function<Nanoseconds()> waited) {
   const std::uint64_t last = progress();
-  watched_.push_back({std::move(name), std::move(progress), patience, last, now});
+  const Nanoseconds waited_before = waited ? waited() : Nanoseconds(0);
+  watched_.push_back({std::move(name), std::move(progress), patience, std::move(waited), last, now,
+                      waited_before});
 }
 
 void Supervisor::Unwatch(const std::string& name) {
@@ -23,7 +26,12 @@ std::optional<std::string> Supervisor::Stalled(HostTime now) {
     if (progress != watched.last) {
       watched.last = progress;
       watched.since = now;
+      if (watched.waited) watched.waited_before = watched.waited();
     } else if (now - watched.since > watched.patience && !stalled) {
+      const Nanoseconds waited =
+          watched.waited ? std::max(watched.waited() - watched.waited_before, Nanoseconds(0))
+                         : Nanoseconds(0);
+      if (now - watched.since - waited <= watched.patience) continue;
       stalled = fmt::format("{} has made no progress for {} s", watched.name,
                             (now - watched.since).count() / 1'000'000'000);
     }

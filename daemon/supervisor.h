@@ -16,9 +16,10 @@ namespace omnihdr {
 class Supervisor {
  public:
   // `progress` grows while the stage lives; `patience` is the longest honest piece of work of the
-  // stage.
+  // stage. `waited`: how long it has been kept from a processor by others, in all, which does not
+  // count; null = never.
   void Watch(std::string name, std::function<std::uint64_t()> progress, Nanoseconds patience,
-             HostTime now);
+             HostTime now, std::function<Nanoseconds()> waited = {});
   void Unwatch(const std::string& name);
   // Who is stuck, for people, or nothing: then the service manager's watchdog may be fed.
   std::optional<std::string> Stalled(HostTime now);
@@ -28,8 +29,10 @@ class Supervisor {
     std::string name;
     std::function<std::uint64_t()> progress;
     Nanoseconds patience;
+    std::function<Nanoseconds()> waited;
     std::uint64_t last = 0;
     HostTime since;
+    Nanoseconds waited_before{0};  // then
   };
   std::vector<Watched> watched_;
 };

@@ -6,6 +6,11 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <charconv>
+#include <filesystem>
+#include <fstream>
+#include <system_error>
+
 namespace omnihdr {
 namespace {
 
@@ -39,5 +44,22 @@ BackgroundThread::BackgroundThread() {
 }
 
 BackgroundThread::~BackgroundThread() = default;
+
+Nanoseconds BackgroundWait() {
+  Nanoseconds waited{0};
+  std::error_code error;
+  for (std::filesystem::directory_iterator it("/proc/self/task", error), end; !error && it != end;
+       it.increment(error)) {
+    const std::string name = it->path().filename().string();
+    pid_t thread = 0;
+    std::from_chars(name.data(), name.data() + name.size(), thread);
+    if (::sched_getscheduler(thread) != SCHED_BATCH) continue;
+    std::ifstream statistics(it->path() / "schedstat");
+    std::int64_t ran = 0;
+    std::int64_t stood = 0;
+    if (statistics >> ran >> stood) waited += Nanoseconds(stood);
+  }
+  return waited;
+}
 
 }  // namespace omnihdr

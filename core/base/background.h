@@ -2,6 +2,8 @@
 
 #include <memory>
 
+#include "core/base/clock.h"
+
 namespace omnihdr {
 
 // From here on the calling thread, and every worker of the pool from the moment it first helps in
@@ -20,5 +22,10 @@ class BackgroundThread {
   class Observer;
   std::unique_ptr<Observer> observer_;
 };
+
+// How long this process's lowered threads have stood ready while others had the processors, in all.
+// Programs that compute at usual priority can starve them for minutes. None where the kernel does
+// not tell.
+Nanoseconds BackgroundWait();
 
 }  // namespace omnihdr

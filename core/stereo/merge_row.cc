@@ -81,6 +81,26 @@ void TrustPlain(const float* __restrict chi, const float* __restrict block_trust
   }
 }
 
+// Who would have a say where the own view says little, how far apart they are, and whether any of
+// them measured a channel above the noise.
+OMNIHDR_SIMD_CLONES
+void CountVoters(const float* __restrict green, const float* __restrict trust,
+                 const std::uint8_t* __restrict flags, const std::uint8_t* __restrict sight,
+                 int count, float* __restrict voters, float* __restrict least,
+                 float* __restrict most, std::uint8_t* __restrict lit) {
+  constexpr auto kVisible = static_cast<std::uint8_t>(Sight::kVisible);
+  for (int i = 0; i < count; ++i) {
+    const int counts = static_cast<int>(sight[i] == kVisible) &
+                       static_cast<int>((flags[i] & (kMasked | kMover | kSaturatedAny)) == 0);
+    const int votes = counts & static_cast<int>(trust[i] > kLeastTrust);
+    voters[i] += votes != 0 ? 1.0F : 0.0F;
+    least[i] = (votes & static_cast<int>(green[i] < least[i])) != 0 ? green[i] : least[i];
+    most[i] = (votes & static_cast<int>(green[i] > most[i])) != 0 ? green[i] : most[i];
+    const int bright = counts & static_cast<int>((flags[i] & kDarkAny) != kDarkAny);
+    lit[i] = static_cast<std::uint8_t>(lit[i] | static_cast<std::uint8_t>(bright));
+  }
+}
+
 OMNIHDR_SIMD_CLONES
 void AddWeighted(const float* __restrict radiance, const float* __restrict variance,
                  const float* __restrict trust, int count, float* __restrict sum,
@@ -215,6 +235,16 @@ void PlainRow::Start(const Measurement& own, const SampledRow& mine) {
               own.variance_per_radiance[c], sum_[c].data(), weight_[c].data());
   }
   own_weight_ = weight_[1];
+  has_dark_ = std::any_of(mine.flags.begin(), mine.flags.end(),
+                          [](std::uint8_t flags) { return (flags & kDarkAny) != 0; });
+  if (!has_dark_) return;
+  voters_.assign(mine.size(), 0.0F);
+  least_.assign(mine.size(), std::numeric_limits<float>::infinity());
+  most_.assign(mine.size(), 0.0F);
+  lit_.resize(mine.size());
+  for (std::size_t i = 0; i < mine.size(); ++i) {
+    lit_[i] = (mine.flags[i] & kDarkAny) != kDarkAny ? 1 : 0;
+  }
 }
 
 void PlainRow::Add(const Measurement& own, const SampledRow& mine, bool consistency,
@@ -230,6 +260,11 @@ void PlainRow::Add(const Measurement& own, const SampledRow& mine, bool consiste
   TrustPlain(chi_.data(), source->trust.data(), source->sampled.flags.data(),
              reinterpret_cast<const std::uint8_t*>(source->sight.data()), count,
              1.0F / (3.0F * half_trust_sigmas * half_trust_sigmas), trust_.data());
+  if (has_dark_) {
+    CountVoters(source->sampled.radiance[1].data(), trust_.data(), source->sampled.flags.data(),
+                reinterpret_cast<const std::uint8_t*>(source->sight.data()), count, voters_.data(),
+                least_.data(), most_.data(), lit_.data());
+  }
   for (const std::size_t c : {0U, 2U, 1U}) {  // the weights of green stay
     AddWeighted(source->sampled.radiance[c].data(), source->variance[c].data(), trust_.data(),
                 count, sum_[c].data(), weight_[c].data(), source->weight.data());

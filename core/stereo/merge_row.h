@@ -44,8 +44,9 @@ void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, 
                   int block, const float* disparity, float occlusion_tolerance,
                   const MergeErrors& errors, SourceRow* row);
 
-// The mean of a row's plain pixels: those that the reference measured in every channel. Values of
-// other pixels are computed as well and mean nothing.
+// The mean of a row's plain pixels: those that the reference measured in every channel, and those
+// that are dark there while the others do not contradict each other. Values of other pixels are
+// computed as well and mean nothing.
 class PlainRow {
  public:
   void Start(const Measurement& own, const SampledRow& mine);
@@ -53,6 +54,13 @@ class PlainRow {
   // standard deviations as halve the trust, beside a relative tolerance.
   void Add(const Measurement& own, const SampledRow& mine, bool consistency,
            float half_trust_sigmas, float relative_tolerance, SourceRow* source);
+
+  // Of a pixel that is dark in the reference and nothing else: whether the others that are trusted
+  // agree well enough for a mean of all (see IsContested), and whether it is dark in all of them.
+  bool IsAgreedDark(std::size_t x) const {
+    return !IsContested(static_cast<int>(voters_[x]), least_[x], most_[x]);
+  }
+  bool IsDarkEverywhere(std::size_t x) const { return lit_[x] == 0; }
 
   float Mean(std::size_t x, std::size_t channel) const {
     return sum_[channel][x] / weight_[channel][x];
@@ -67,6 +75,12 @@ class PlainRow {
   std::vector<float> own_weight_;
   std::vector<float> chi_;
   std::vector<float> trust_;
+  // Of rows with dark pixels.
+  bool has_dark_ = false;
+  std::vector<float> voters_;
+  std::vector<float> least_;  // radiance of green
+  std::vector<float> most_;
+  std::vector<std::uint8_t> lit_;
 };
 
 }  // namespace omnihdr

@@ -157,6 +157,15 @@ inline MergeMajority FindMajority(const MergeSamples& samples, std::size_t count
   return majority;
 }
 
+inline constexpr float kLeastTrust = 0.2F;  // of a sample that has a say
+
+// Where the own view says little: whether the others that have a say are so far apart that it takes
+// a majority. `least`, `most`: their radiances of green.
+inline bool IsContested(int voters, float least, float most) {
+  constexpr float kConflict = 1.4F;  // brightest over darkest
+  return voters >= 3 && most > kConflict * std::max(least, 0.0F);
+}
+
 // Whether a clipped sample is as bright as a clipped pixel demands, and so may show the same.
 inline bool MeetsBound(const MergeSample& sample, const MergeSample& mine) {
   constexpr float kTolerance = 0.8F;

@@ -33,7 +33,6 @@ constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no r
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
 constexpr float kLeastBlockSamples = 4.0F;         // of sixteen
 constexpr float kLeastClippedBlockSamples = 8.0F;  // fewer beside clipped ones are an edge, no mean
-constexpr float kLeastTrust = 0.2F;
 constexpr float kLeastShare = 0.1F;  // of the weight, to be told as a source
 constexpr int kLeastWitnesses = 2;   // views that must agree on what is behind a mover
 constexpr float kHalfTrustSigmas =
@@ -115,7 +114,6 @@ void SetHatWeights(const Measurement& m, const std::array<float, 3>& raw, MergeS
 // Where the own view says little - it is clipped, or dark - what a single other view saw passing by
 // would count as much as what all others saw: only those stay that most of them side with.
 void DropMinority(std::size_t count, MergeSamples* samples) {
-  constexpr float kConflict = 1.4F;  // brightest over darkest
   float least = std::numeric_limits<float>::infinity();
   float most = 0.0F;
   int voters = 0;
@@ -126,7 +124,7 @@ void DropMinority(std::size_t count, MergeSamples* samples) {
     least = std::min(least, s.radiance[1]);
     most = std::max(most, s.radiance[1]);
   }
-  if (voters < 3 || most <= kConflict * std::max(least, 0.0F)) return;
+  if (!IsContested(voters, least, most)) return;
   const MergeMajority majority = FindMajority(*samples, count);
   if (2 * majority.views <= voters) return;
   for (std::size_t k = 1; k < count; ++k) {
@@ -553,7 +551,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const auto i = static_cast<std::size_t>(x);
         const bool by_mover = movers.Has(x / kMoverStep, y / kMoverStep);
         float* out = view.radiance.pixel(x, y);
-        if (mine_row.flags[i] == 0 && !by_mover && !by_hat) {
+        const bool is_dark = mine_row.flags[i] != 0;  // of plain pixels
+        const bool is_plain = !is_dark || ((mine_row.flags[i] & ~kDarkAny) == 0 &&
+                                           options.consistency && plain.IsAgreedDark(i));
+        if (is_plain && !by_mover && !by_hat) {
           const float least = kLeastShare * plain.weight()[i];
           unsigned contributed = plain.own_weight()[i] >= least ? 1U : 0U;
           for (std::size_t n = 0; n < sources.size(); ++n) {
@@ -561,7 +562,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           }
           for (std::size_t c = 0; c < 3; ++c) out[c] = plain.Mean(i, c);
           view.sources.at(x, y) = static_cast<std::uint8_t>(contributed);
-          view.origin.at(x, y) = static_cast<std::uint8_t>(PixelOrigin::kMeasured);
+          view.origin.at(x, y) = static_cast<std::uint8_t>(
+              is_dark && plain.IsDarkEverywhere(i) ? PixelOrigin::kDark : PixelOrigin::kMeasured);
           continue;
         }
         const RadianceSample own_raw = SampleOf(mine_row, i);

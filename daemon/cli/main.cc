@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <exception>
 
+#include "core/base/heap.h"
 #include "daemon/cli/command.h"
 
 namespace omnihdr {
@@ -64,6 +65,7 @@ int Main(int argc, char** argv) {
 }  // namespace omnihdr
 
 int main(int argc, char** argv) {
+  omnihdr::LimitHeap();
   try {
     return omnihdr::Main(argc, argv);
   } catch (const std::exception& error) {

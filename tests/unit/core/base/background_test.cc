@@ -6,10 +6,13 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <fstream>
 #include <functional>
 #include <thread>
+#include <vector>
 
 #include "core/base/parallel_for.h"
 
@@ -66,6 +69,33 @@ TEST(BackgroundThread, OtherThreadsKeepTheirPriority) {
   EXPECT_FALSE(IsLowered());
   std::thread other([] { EXPECT_FALSE(IsLowered()); });
   other.join();
+}
+
+TEST(BackgroundThread, TellsHowLongOthersHadTheProcessors) {
+  if (!std::ifstream("/proc/self/schedstat")) GTEST_SKIP() << "the kernel keeps no such statistics";
+  std::atomic<bool> stop = false;
+  const auto compute = [&] {
+    while (!stop) {
+    }
+  };
+  const unsigned processors = std::max(1U, std::thread::hardware_concurrency());
+  const Nanoseconds before = BackgroundWait();
+  std::vector<std::thread> threads;
+  for (unsigned i = 0; i < processors; ++i) threads.emplace_back(compute);
+  threads.emplace_back([&] {
+    const BackgroundThread low;
+    compute();
+  });
+  // It stands behind them until they end; it need not have been told of the end to be counted.
+  const auto give_up = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  Nanoseconds waited{0};
+  while (waited < std::chrono::milliseconds(50) && std::chrono::steady_clock::now() < give_up) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    waited = BackgroundWait() - before;
+  }
+  stop = true;
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_GE(waited, std::chrono::milliseconds(50));
 }
 
 }  // namespace

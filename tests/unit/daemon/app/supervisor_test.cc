@@ -35,6 +35,17 @@ TEST(Supervisor, AStageThatStandsStillLongerThanItsPatienceIsNamed) {
   EXPECT_EQ(supervisor.Stalled(At(seconds(13))), std::nullopt);
 }
 
+TEST(Supervisor, TimeInWhichOthersHadTheProcessorsDoesNotCount) {
+  Supervisor supervisor;
+  Nanoseconds waited = seconds(1000);  // before it was watched
+  supervisor.Watch(
+      "pipeline", [] { return std::uint64_t{7}; }, seconds(10), At(seconds(0)),
+      [&] { return waited; });
+  waited += seconds(30);
+  EXPECT_EQ(supervisor.Stalled(At(seconds(40))), std::nullopt);
+  EXPECT_EQ(supervisor.Stalled(At(seconds(41))), "pipeline has made no progress for 41 s");
+}
+
 TEST(FloodGate, OneMessageASecondPassesAndStandsForTheRest) {
   FloodGate gate;
   EXPECT_EQ(gate.Pass(At(seconds(5))), 1U);
