@@ -247,8 +247,9 @@ int Main(int argc, char** argv) {
   sched_param hardware{};
   hardware.sched_priority = 30;
   ::sched_setscheduler(0, SCHED_FIFO, &hardware);
-  // Memory that it has touched once it keeps: a virtual machine's host may take tens of milliseconds
-  // to give a frame's worth of fresh pages, in which the emulated camera would not answer.
+  // Memory that it has touched once it keeps: a virtual machine's host may take tens of
+  // milliseconds to give a frame's worth of fresh pages, in which the emulated camera would not
+  // answer.
   ::mallopt(M_MMAP_THRESHOLD, 1 << 30);
   ::mallopt(M_TRIM_THRESHOLD, 1 << 30);
   const fs::path parent =
