@@ -11,10 +11,11 @@
 
 namespace omnihdr {
 
-// One named thread of the appliance, scheduled as usual whoever makes it. Constructed running, stopped and joined by its destructor.
-// The body loops until its stop token is set, with a deadline on every wait, and calls Progress()
-// each time round, so that a supervisor can tell a busy stage from a wedged one. An exception that
-// escapes the body ends the stage with an error; it never leaves the thread.
+// One named thread of the appliance, scheduled as usual whoever makes it. Constructed running,
+// stopped and joined by its destructor. The body loops until its stop token is set, with a deadline
+// on every wait, and calls Progress() each time round, so that a supervisor can tell a busy stage
+// from a wedged one. An exception that escapes the body ends the stage with an error; it never
+// leaves the thread.
 class Stage {
  public:
   using Body = std::function<Status(std::stop_token, Stage&)>;

@@ -319,7 +319,11 @@ void CaptureController::CommandWaiting() {
 
 void CaptureController::GiveUpWaiting() {
   if (waiting_.empty() || clock_.Now() < waiting_until_) return;
-  if (waits_for_ == MissReason::kCameraBusy && ledger_.open() == waiting_.size()) ++frameless_;
+  // A single trigger found the camera busy with a picture, whatever has become of that since.
+  if (options_.burst && waits_for_ == MissReason::kCameraBusy &&
+      ledger_.open() == waiting_.size()) {
+    ++frameless_;
+  }
   for (const Waiting& waiting : waiting_) {
     ++counts_.missed[static_cast<std::size_t>(waits_for_)];
     ledger_.Resolve(waiting.request.trigger, FrameStatus::kMissedTrigger,
