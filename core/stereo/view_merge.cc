@@ -33,8 +33,8 @@ constexpr float kLeastNoiseFloors = 4.0F;  // a source darker than this has no r
 constexpr float kLargestRatio = 6.0F;      // two samples farther apart do not show the same surface
 constexpr float kLeastBlockSamples = 4.0F;         // of sixteen
 constexpr float kLeastClippedBlockSamples = 8.0F;  // fewer beside clipped ones are an edge, no mean
-constexpr float kLeastShare = 0.1F;  // of the weight, to be told as a source
-constexpr int kLeastWitnesses = 2;   // views that must agree on what is behind a mover
+constexpr float kLeastShare = 0.1F;                // of the weight, to be told as a source
+constexpr int kLeastWitnesses = 2;  // views that must agree on what is behind a mover
 constexpr float kHalfTrustSigmas =
     3.0F;  // disagreement in standard deviations that halves the trust
 
