@@ -21,17 +21,19 @@ void KnownOrZero(const float* __restrict in, int count, float* __restrict out) {
   for (int i = 0; i < count; ++i) out[i] = in[i] >= 0.0F ? in[i] : 0.0F;
 }
 
-Image<float> WarpOnGrid(const DisparityMap& map, const Eigen::Vector3f& offset,
+// WarpDisparity, with the confidence of what lands, 0 where nothing does.
+DisparityMap WarpOnGrid(const DisparityMap& map, const Eigen::Vector3f& offset,
                         const LatLongGrid& grid) {
   const int width = map.disparity.width();
   const int height = map.disparity.height();
-  Image<float> warped(width, height, 1, kNan);
+  DisparityMap warped{Image<float>(width, height, 1, kNan), Image<float>(width, height)};
   RayRow rays;
   SeenRow seen;
   std::vector<float> known(static_cast<std::size_t>(width));
   for (int y = 0; y < height; ++y) {
     RaysOfRow(grid, y, 0, 1, Eigen::Matrix3f::Identity(), &rays);
     const float* row = map.disparity.row(y);
+    const float* confidence = map.confidence.row(y);
     KnownOrZero(row, width, known.data());
     SurfacePointsOnGrid(rays, known.data(), offset, grid, &seen);
     for (std::size_t i = 0; i < known.size(); ++i) {
@@ -39,8 +41,10 @@ Image<float> WarpOnGrid(const DisparityMap& map, const Eigen::Vector3f& offset,
       const float length = seen.distance[i];
       if (!(d >= 0.0F) || length < 1e-6F) continue;
       const float d_there = d / length;
-      float& target = warped.at(seen.grid_column[i], seen.grid_row[i]);
-      if (!(target >= d_there)) target = d_there;
+      float& target = warped.disparity.at(seen.grid_column[i], seen.grid_row[i]);
+      if (target >= d_there) continue;
+      target = d_there;
+      warped.confidence.at(seen.grid_column[i], seen.grid_row[i]) = confidence[i];
     }
   }
   return warped;
@@ -64,16 +68,18 @@ struct VoteRow {
   }
 };
 
+constexpr float kDoubt = 0.5F;  // what a map's vote weighs that has no confidence at all
+
 struct Tolerance {
   float absolute;
   float relative;
 };
 
 OMNIHDR_SIMD_CLONES
-void WeighKnown(const float* __restrict value, const float* __restrict weight, float constant,
-                int count, float* __restrict out) {
+void WeighKnown(const float* __restrict value, const float* __restrict confidence, int count,
+                float* __restrict out) {
   for (int i = 0; i < count; ++i) {
-    const float w = weight != nullptr ? constant + weight[i] : constant;
+    const float w = kDoubt + confidence[i];
     out[i] = value[i] >= 0.0F ? w : 0.0F;
   }
 }
@@ -125,7 +131,8 @@ void KeepBest(const float* __restrict value, const float* __restrict score,
 }  // namespace
 
 Image<float> WarpDisparity(const DisparityMap& map, const Eigen::Vector3f& offset) {
-  return WarpOnGrid(map, offset, LatLongGrid(map.disparity.width(), map.disparity.height()));
+  return WarpOnGrid(map, offset, LatLongGrid(map.disparity.width(), map.disparity.height()))
+      .disparity;
 }
 
 DisparityMap FuseDisparity(const DisparityMap& reference,
@@ -134,7 +141,7 @@ DisparityMap FuseDisparity(const DisparityMap& reference,
   const int width = reference.disparity.width();
   const int height = reference.disparity.height();
   const LatLongGrid grid(width, height);
-  std::vector<Image<float>> warped(neighbours.size());
+  std::vector<DisparityMap> warped(neighbours.size());
   ParallelFor(static_cast<int>(neighbours.size()), 1, [&](int begin, int end) {
     for (int n = begin; n < end; ++n) {
       const NeighbourMap& neighbour = neighbours[static_cast<std::size_t>(n)];
@@ -157,10 +164,9 @@ DisparityMap FuseDisparity(const DisparityMap& reference,
     for (int y = begin; y < end; ++y) {
       RaysOfRow(grid, y, 0, 1, Eigen::Matrix3f::Identity(), &rays);
       for (std::size_t m = 0; m < maps; ++m) {
-        const float* row = m == 0 ? reference.disparity.row(y) : warped[m - 1].row(y);
-        std::copy_n(row, width, votes.value[m].begin());
-        WeighKnown(row, m == 0 ? reference.confidence.row(y) : nullptr, m == 0 ? 0.5F : 1.0F, width,
-                   votes.weight[m].data());
+        const DisparityMap& map = m == 0 ? reference : warped[m - 1];
+        std::copy_n(map.disparity.row(y), width, votes.value[m].begin());
+        WeighKnown(map.disparity.row(y), map.confidence.row(y), width, votes.weight[m].data());
       }
       votes.best_score.assign(pixels, -1e9F);
       votes.best_mean.assign(pixels, kNan);

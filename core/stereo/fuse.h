@@ -27,10 +27,12 @@ struct FuseOptions {
 Image<float> WarpDisparity(const DisparityMap& map, const Eigen::Vector3f& offset);
 
 // Vote fusion of the reference's map with its neighbours': each pixel's candidates are its own
-// value and those the other maps put there; the one with most supporters less half the violations
+// value and those the other maps put there; the one with most support less half the violations
 // (views that see through it: Merrell et al. 2007 call it a free-space violation) wins, and becomes
-// the mean of its supporters. Confidence is the winner's score over the number of maps. At most
-// eight neighbours take part, the first ones.
+// the mean of its supporters. Each map supports with a half and its confidence there: what it only
+// guessed, where a picture is clipped or dark, does not outvote what another has seen. Confidence
+// is the winner's score over the number of maps. At most eight neighbours take part, the first
+// ones.
 DisparityMap FuseDisparity(const DisparityMap& reference,
                            const std::vector<NeighbourMap>& neighbours, const FuseOptions& options);
 
