@@ -68,6 +68,11 @@ void LatencyTracker::Durable(TriggerId trigger, PositionId position, bool usable
   triggers_.erase(found);
   if (!usable || !times.commanded) return;
   if (times.arrived) Of(CaptureLatency::kFrameToDurable).Add(now - *times.arrived);
+  if (const auto done = done_early_.find(Value(position)); done != done_early_.end()) {
+    Of(CaptureLatency::kTriggerToView).Add(done->second - times.edge);
+    done_early_.erase(done);
+    return;
+  }
   positions_.try_emplace(Value(position), times.edge);
   if (positions_.size() > kMaxPositions) positions_.erase(positions_.begin());
 }
@@ -75,7 +80,11 @@ void LatencyTracker::Durable(TriggerId trigger, PositionId position, bool usable
 void LatencyTracker::ViewDone(PositionId position, HostTime now) {
   std::lock_guard lock(mutex_);
   const auto found = positions_.find(Value(position));
-  if (found == positions_.end()) return;
+  if (found == positions_.end()) {
+    done_early_[Value(position)] = now;
+    if (done_early_.size() > kMaxEarly) done_early_.erase(done_early_.begin());
+    return;
+  }
   Of(CaptureLatency::kTriggerToView).Add(now - found->second);
   positions_.erase(found);
 }

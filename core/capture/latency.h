@@ -47,6 +47,7 @@ class LatencyTracker {
  public:
   static constexpr std::size_t kMaxTriggers = 4096;
   static constexpr std::size_t kMaxPositions = 65536;
+  static constexpr std::size_t kMaxEarly = 64;
 
   void Commanded(TriggerId trigger, HostTime edge, HostTime now);
   void FrameArrived(TriggerId trigger, HostTime now);
@@ -72,6 +73,9 @@ class LatencyTracker {
   mutable std::mutex mutex_;
   std::map<std::uint64_t, Times> triggers_;
   std::map<std::int64_t, HostTime> positions_;  // first trigger of those without a view
+  // When views were done whose line has not been told of: one sync can make several lines durable,
+  // and the last of them may be worked on before it is told of.
+  std::map<std::int64_t, HostTime> done_early_;
   CaptureLatencies counts_;
   std::optional<HostTime> last_frame_;
 };

@@ -73,6 +73,16 @@ TEST(LatencyTracker, ALostFrameCountsAsCommandedOnly) {
   EXPECT_EQ(Of(counts, CaptureLatency::kTriggerToView).total, 0U);
 }
 
+TEST(LatencyTracker, AViewThatIsDoneBeforeItsLineIsToldOfCounts) {
+  LatencyTracker tracker;
+  tracker.Commanded(TriggerId{5}, At(seconds(1)), At(seconds(1)));
+  tracker.ViewDone(PositionId{2}, At(seconds(4)));
+  tracker.Durable(TriggerId{5}, PositionId{2}, true, At(seconds(5)));
+  const LatencyCounts views = Of(tracker.counts(), CaptureLatency::kTriggerToView);
+  EXPECT_EQ(views.total, 1U);
+  EXPECT_NEAR(views.sum_s, 3.0, 1e-9);
+}
+
 TEST(LatencyTracker, AViewIsTimedFromTheFirstTriggerOfItsPosition) {
   LatencyTracker tracker;
   for (std::uint64_t i = 0; i < 3; ++i) {

@@ -64,10 +64,20 @@ TEST(DriveQuality, WhereTheViewsMergedChangeNoSeamStandsOutOfTheNoise) {
     EXPECT_LT(*score.mean->seam_noise, 1.0) << sim::ToString(scene);
     // As a change of radiance: 7 %.
     EXPECT_LT(*score.mean->seam_log10, 0.03) << sim::ToString(scene);
+    double visible = 0.0;
+    double borders = 0.0;
     for (const PositionScore& position : score.positions) {
       ASSERT_TRUE(position.seams);
-      EXPECT_LT(position.seams->visible, 0.25) << sim::ToString(scene);
+      const auto count = static_cast<double>(position.seams->borders);
+      visible += count * position.seams->visible;
+      borders += count;
+      // A few dozen are one line, along which the share is all or nothing.
+      constexpr double kEnough = 200.0;
+      if (count >= kEnough) {
+        EXPECT_LT(position.seams->visible, 0.25) << sim::ToString(scene);
+      }
     }
+    EXPECT_LT(visible, 0.1 * borders) << sim::ToString(scene);
   }
 }
 
