@@ -25,6 +25,10 @@ constexpr Nanoseconds kIdleLook = milliseconds(50);
 constexpr Nanoseconds kSlice = milliseconds(50);
 // The exposure begins no later than this after the trigger's write has been answered.
 constexpr Nanoseconds kLongestStart = milliseconds(2);
+// How much earlier than its trigger a frame may seem and still be its own: the fit of the camera's
+// clock is off by what the first exposures were later than that. A picture of before was waited
+// for, and is older by its reading out at least.
+constexpr Nanoseconds kStraySlack = milliseconds(10);
 // Beyond the spacing of its pulses, which a wire waits for.
 constexpr Nanoseconds kReleaseMargin = milliseconds(100);
 constexpr std::size_t kMostEdges = 64;
@@ -332,7 +336,7 @@ bool IidcCamera::IsStray(const RawFrame& frame, const Sent& sent) {
   CameraClock clock = camera_clock_;  // a frame that is thrown away leaves no trace
   const CameraTime taken = clock.Unwrap(*cycle_ns, frame.arrived);
   const std::optional<HostTime> at = clock.ToHost(taken);
-  return at && *at + clock.uncertainty(taken) < sent.before;
+  return at && *at + clock.uncertainty(taken) + kStraySlack < sent.before;
 }
 
 Status IidcCamera::DropStrays() {
