@@ -166,6 +166,7 @@ Result<ExportPlan> PlanExport(const fs::path& session, const fs::path& views, in
     view.seconds = 1e-9 * static_cast<double>(plan.is_utc ? own->second->utc->ns()
                                                           : own->second->trigger_time.ns());
     if (own->second->gnss && own->second->gnss->fix > 0) view.gnss = own->second->gnss;
+    view.own = *own->second;
     plan.is_metric = plan.is_metric && record.metric_scale;
     plan.views.push_back(std::move(view));
   }
@@ -184,6 +185,17 @@ std::string FormatTum(const ExportPlan& plan) {
                         t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w());
   }
   return text;
+}
+
+nlohmann::ordered_json ExifOverrideOf(const ExportedView& view) {
+  nlohmann::ordered_json exif = {{"capture_time", view.seconds}, {"orientation", 1}};
+  if (view.gnss) {
+    exif["gps"] = {{"latitude", view.gnss->lat_deg},
+                   {"longitude", view.gnss->lon_deg},
+                   {"altitude", view.gnss->alt_m},
+                   {"dop", view.gnss->error_m.value_or(15.0)}};
+  }
+  return exif;
 }
 
 Status ExportOpenSfm(const ExportPlan& plan, const fs::path& out) {
@@ -212,15 +224,8 @@ Status ExportOpenSfm(const ExportPlan& plan, const fs::path& out) {
         {"camera", "omnihdr"},
         {"orientation", 1},
         {"capture_time", view.seconds}};
-    Json exif = {{"capture_time", view.seconds}, {"orientation", 1}};
-    if (view.gnss) {
-      exif["gps"] = {{"latitude", view.gnss->lat_deg},
-                     {"longitude", view.gnss->lon_deg},
-                     {"altitude", view.gnss->alt_m},
-                     {"dop", view.gnss->error_m.value_or(15.0)}};
-    }
     shots[image] = std::move(shot);
-    overrides[image] = std::move(exif);
+    overrides[image] = ExifOverrideOf(view);
   }
   const Json reconstruction = Json::array(
       {{{"cameras", {{"omnihdr", camera}}}, {"shots", shots}, {"points", Json::object()}}});

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <map>
+#include <nlohmann/json_fwd.hpp>
 #include <optional>
 #include <string>
 #include <vector>
@@ -23,6 +24,7 @@ struct ExportedView {
   Pose world_from_picture;  // of the panorama as it is written
   double seconds = 0.0;     // see ExportPlan::is_utc
   std::optional<GnssFix> gnss;
+  FrameRecord own;  // the frame that the view is of
 };
 
 struct ExportPlan {
@@ -45,6 +47,9 @@ std::string FormatTum(const ExportPlan& plan);
 // An OpenSfM data set: the previews as spherical images, with capture times, places, and a
 // reconstruction of their poses.
 Status ExportOpenSfm(const ExportPlan& plan, const std::filesystem::path& out);
+
+// What OpenSfM is told of a picture that carries no EXIF data of its own: when and where.
+nlohmann::ordered_json ExifOverrideOf(const ExportedView& view);
 
 // A COLMAP model (text): faces of 90 degrees of every preview as pinhole images of `face_size`
 // pixels, with their poses; six a view, or the four around the horizon.
