@@ -21,6 +21,7 @@
 #include "core/photometry/sensor_picture.h"
 #include "core/photometry/tonemap.h"
 #include "core/pipeline/read_frame.h"
+#include "core/session/response_json.h"
 #include "core/session/rig_file.h"
 #include "core/session/session_reader.h"
 
