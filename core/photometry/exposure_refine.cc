@@ -166,6 +166,8 @@ Result<std::vector<RefinedExposure>> RefineExposures(std::span<const ExposedFram
   OMNIHDR_TRY(CheckFrames(frames, mask));
   std::vector<RefinedExposure> refined(frames.size());
   if (frames.size() < 2) return refined;
+  RefineOptions usable = options;
+  usable.value_high = response.HighestUsable(options.value_high);
   NoiseModel noise = options.noise;
   if (noise.read <= 0.0) noise.read = kTypicalReadNoise;
   const Curve narrow = MakeCurve(response, 8, noise);
@@ -188,7 +190,7 @@ Result<std::vector<RefinedExposure>> RefineExposures(std::span<const ExposedFram
     const ExposedFrame& shorter = frames[order[k - 1]];
     const ExposedFrame& longer = frames[order[k]];
     std::vector<Ratio> ratios =
-        PairComparison(curve_of(shorter), curve_of(longer), options).Sample(shorter, longer, mask);
+        PairComparison(curve_of(shorter), curve_of(longer), usable).Sample(shorter, longer, mask);
     const std::size_t count = ratios.size();
     const std::optional<double> ratio = RobustMean(std::move(ratios), options.samples);
     if (!ratio) {

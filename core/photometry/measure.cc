@@ -25,7 +25,8 @@ ExposureTable MakeTable(const Response& response, int bits, const MeasureOptions
   const double value_scale = 255.0 / static_cast<double>(values - 1);
   t.largest = static_cast<std::int32_t>(values - 1);
   t.low = static_cast<std::int32_t>(std::ceil(options.value_low / value_scale));
-  t.high = static_cast<std::int32_t>(std::floor(options.value_high / value_scale));
+  t.high = static_cast<std::int32_t>(
+      std::floor(response.HighestUsable(options.value_high) / value_scale));
   for (std::size_t c = 0; c < 3; ++c) {
     std::vector<float>& table = t.exposure[c];
     table.resize(values);

@@ -73,7 +73,8 @@ PreparedFrame Prepare(const DecodedImage& image, const Exposure& exposure, const
     for (float& e : radiance) e *= p.inverse_seconds;
   }
   p.low = static_cast<std::uint32_t>(std::ceil(options.value_low / scale));
-  p.high = static_cast<std::uint32_t>(std::floor(options.value_high / scale));
+  p.high =
+      static_cast<std::uint32_t>(std::floor(response.HighestUsable(options.value_high) / scale));
   p.largest = static_cast<std::uint32_t>(values - 1);
   return p;
 }

@@ -8,6 +8,7 @@ namespace {
 
 constexpr int kGreen = 1;
 constexpr double kReferenceValue = 128.0;
+constexpr double kLeastWhite = 64.0;
 
 }  // namespace
 
@@ -65,6 +66,16 @@ Result<Response> Response::Table(const std::array<std::vector<double>, 3>& ln_ex
   r.model_ = ResponseModel::kTable;
   r.ln_exposure_ = ln_exposure;
   r.scale_ = 1.0 / std::exp(ln_exposure[kGreen][128]);
+  return r;
+}
+
+Result<Response> Response::WithWhite(double white) const {
+  if (!(white >= kLeastWhite && white <= 255.0)) {
+    return Fail(ErrorKind::kData, "response white level {}, expected {} <= white <= 255", white,
+                kLeastWhite);
+  }
+  Response r = *this;
+  r.white_ = white;
   return r;
 }
 

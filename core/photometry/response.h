@@ -25,7 +25,15 @@ class Response {
   // Three rows of 256, non-decreasing, finite.
   static Result<Response> Table(const std::array<std::vector<double>, 3>& ln_exposure);
 
+  // The same curve of a sensor that clips at `white`, in 8-bit units, [64, 255].
+  Result<Response> WithWhite(double white) const;
+
   ResponseModel model() const { return model_; }
+  // Value at which the sensor clips: 255, or less where its full well ends before its samples do.
+  double white() const { return white_; }
+  // Up to which value a sample is usable, given that of a sensor that clips at 255
+  // (MeasureOptions).
+  double HighestUsable(double value_high) const { return value_high * white_ / 255.0; }
   double black() const { return black_; }
   const std::array<std::array<double, 2>, 3>& loglinear() const { return loglinear_; }
   const std::array<std::vector<double>, 3>& table() const { return ln_exposure_; }
@@ -45,6 +53,7 @@ class Response {
   Response() = default;
   ResponseModel model_ = ResponseModel::kLinear;
   double black_ = 0.0;
+  double white_ = 255.0;
   std::array<std::array<double, 2>, 3> loglinear_{};
   std::array<std::vector<double>, 3> ln_exposure_;
   double scale_ = 1.0;  // multiplies the raw model so that green 128 gives 1.0

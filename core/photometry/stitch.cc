@@ -123,7 +123,8 @@ Result<StitchSource> Stitcher::Prepare(std::span<const RigFrame> frames,
       }
       sensor.black = static_cast<float>(response.black());
       sensor.low = static_cast<std::uint32_t>(std::ceil(options.value_low));
-      sensor.high = static_cast<std::uint32_t>(std::floor(options.value_high));
+      sensor.high =
+          static_cast<std::uint32_t>(std::floor(response.HighestUsable(options.value_high)));
     }
   } else {
     OMNIHDR_TRY(MergeMosaic(frames, rig_, responses, bits, options, &mosaic_));

@@ -60,6 +60,7 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   measurer.bits_ = camera.bits;
   measurer.responses_ = {info.response};
   measurer.optics_.columns = camera.width;
+  measurer.rows_ = {0, camera.height};
   if (camera.layout != Layout::kRig) {
     measurer.projection_ = camera.layout == Layout::kPanorama
                                ? camera.PanoramaProjection()
@@ -100,6 +101,8 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
       measurer.responses_.push_back(std::move(response));
     }
   }
+  OMNIHDR_ASSIGN(measurer.rows_, StackedRows(rig));
+  for (const RigSensor& sensor : rig.sensors) measurer.sensor_names_.push_back(sensor.name);
   const SphereGrid grid(measurer.projection_);
   OMNIHDR_ASSIGN(RigMasks masks, ReadRigMasks(rig, session, grid, mask, mask_name));
   Result<Stitcher> stitcher = Stitcher::Create(std::move(rig), grid, masks.views());
@@ -109,8 +112,43 @@ Result<FrameMeasurer> FrameMeasurer::Open(const std::filesystem::path& session,
   return measurer;
 }
 
+std::optional<std::string> FrameMeasurer::WhiteLevelWarning(double value_high) {
+  if (white_level_told_) return std::nullopt;
+  for (std::size_t s = 0; s < white_levels_.size(); ++s) {
+    const Response& response = responses_[responses_.size() == 1 ? 0 : s];
+    const std::optional<WhiteLevel> white = white_levels_[s].Find();
+    const double usable = response.HighestUsable(value_high);
+    // What lies above is left out as saturated already.
+    if (!white || white->value > usable) continue;
+    white_level_told_ = true;
+    return fmt::format(
+        "{}: clips at value {:.1f} ({:.2g} % of its samples, in {} exposures), expected above "
+        "{:.1f}, up to "
+        "which values count as usable: highlights may be red or cyan; omnihdr calibrate response "
+        "measures its white level, or lower photometry.value_high",
+        stitcher_ ? fmt::format("sensor \"{}\"", sensor_names_[s]) : std::string("the camera"),
+        white->value, 100.0 * white->share, white->exposures, usable);
+  }
+  return std::nullopt;
+}
+
 Result<Measurement> FrameMeasurer::Measure(std::span<const ExposedFrame> frames,
                                            const MeasureOptions& options) {
+  if (!white_level_told_) {
+    white_levels_.resize(rows_.size() - 1);
+    constexpr int kStep = 5;  // odd: every colour of a mosaic
+    for (const ExposedFrame& frame : frames) {
+      if (frame.image->height() != rows_.back()) continue;  // told below
+      const ImageView<const std::uint8_t> mask =
+          mask_.width() == frame.image->width() && mask_.height() == frame.image->height()
+              ? mask_.view()
+              : ImageView<const std::uint8_t>();
+      for (std::size_t s = 0; s < white_levels_.size(); ++s) {
+        white_levels_[s].Add(*frame.image, bits_, frame.exposure.EffectiveSeconds(), rows_[s],
+                             rows_[s + 1] - rows_[s], mask, kStep);
+      }
+    }
+  }
   if (!stitcher_) {
     return omnihdr::Measure(frames, projection_, responses_.front(), bits_, mask_.view(), options);
   }

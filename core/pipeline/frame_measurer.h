@@ -12,6 +12,7 @@
 #include "core/image/image.h"
 #include "core/photometry/measure.h"
 #include "core/photometry/stitch.h"
+#include "core/photometry/white_level.h"
 #include "core/session/session.h"
 #include "core/stereo/confidence.h"
 
@@ -36,6 +37,10 @@ class FrameMeasurer {
   // Merges the frames of one place. Errors as Measure and Stitcher::Stitch.
   Result<Measurement> Measure(std::span<const ExposedFrame> frames, const MeasureOptions& options);
 
+  // Once, when frames measured so far show that a sensor clips below what counts as usable up to
+  // `value_high` (MeasureOptions): which and where, and what to do.
+  std::optional<std::string> WhiteLevelWarning(double value_high);
+
   // Of the measurements.
   const Projection& projection() const { return projection_; }
   const PanoramaOptics& optics() const { return optics_; }
@@ -51,6 +56,11 @@ class FrameMeasurer {
   std::vector<Response> responses_;  // one, or one a sensor
   Image<std::uint8_t> mask_;         // of the frames as recorded
   std::optional<Stitcher> stitcher_;
+  // By sensor; of pictures, one.
+  std::vector<int> rows_;  // where each begins, and the frames' height
+  std::vector<std::string> sensor_names_;
+  std::vector<WhiteLevelFinder> white_levels_;
+  bool white_level_told_ = false;
 };
 
 }  // namespace omnihdr

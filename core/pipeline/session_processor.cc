@@ -498,6 +498,10 @@ class SessionProcessorImpl final : public SessionProcessor {
       }
       return std::nullopt;
     }
+    if (std::optional<std::string> white = measurer_->WhiteLevelWarning(options_.value_high)) {
+      Warn(*white);
+      notes.push_back(std::move(*white));
+    }
     for (const FrameRecord* record : usable) {
       if (options_.mover_masks.empty()) break;
       const Status marked = MarkMovers(session_ / options_.mover_masks, *record, &*measurement);

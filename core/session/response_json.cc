@@ -53,7 +53,9 @@ Result<Response> ReadResponse(const ObjectReader& json) {
     return json.Wrong("model", kModels);
   }
   if (!response) return json.Wrong("model", response.error().message);
-  return response;
+  OMNIHDR_ASSIGN(const double white,
+                 json.NumberOr("white", 255.0, 64.0, 255.0, "8-bit code values in [64, 255]"));
+  return response->WithWhite(white);
 }
 
 ObjectWriter ResponseObject(const Response& response) {
@@ -73,6 +75,7 @@ ObjectWriter ResponseObject(const Response& response) {
       json.Add("model", "table").Add("ln_exposure", response.table());
       break;
   }
+  if (response.white() != 255.0) json.Add("white", response.white());
   return json;
 }
 

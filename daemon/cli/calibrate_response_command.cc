@@ -16,6 +16,8 @@
 #include "core/base/file.h"
 #include "core/image/image_io.h"
 #include "core/photometry/response_calibration.h"
+#include "core/photometry/white_level.h"
+#include "core/pipeline/read_frame.h"
 #include "core/pipeline/response_session.h"
 #include "core/session/response_json.h"
 #include "core/session/rig_edit.h"
@@ -76,8 +78,41 @@ Result<Image<std::uint8_t>> MaskOf(const ResponseArguments& arguments, const May
   return MaskOfSensor(*sensor, frame, width, height, mask.view());
 }
 
+// A sensor that clips this near the largest value does so there.
+constexpr double kWhiteAsItShouldBe = 250.0;
+
+// Of all values usable for a response, those below a white level.
+SampleOptions Below(const std::optional<WhiteLevel>& white) {
+  SampleOptions options;
+  if (white && white->value < kWhiteAsItShouldBe) options.value_high *= white->value / 255.0;
+  return options;
+}
+
+std::optional<WhiteLevel> WhiteLevelOfSession(const std::filesystem::path& session,
+                                              const SessionContents& contents,
+                                              ImageView<const std::uint8_t> mask) {
+  constexpr std::size_t kMostFrames = 40;
+  WhiteLevelFinder finder;
+  const std::vector<FrameRecord>& frames = contents.journal.frames;
+  const std::size_t step = std::max<std::size_t>(1, frames.size() / kMostFrames);
+  for (std::size_t k = 0; k < frames.size(); k += step) {
+    if (frames[k].status != FrameStatus::kOk) continue;
+    const Result<DecodedImage> image = ReadFrame(session, contents.info.camera, frames[k]);
+    if (!image) continue;  // the samples' warnings tell
+    finder.Add(*image, contents.info.camera.bits, frames[k].exposure.EffectiveSeconds(), 0,
+               image->height(), mask);
+  }
+  return finder.Find();
+}
+
+struct CalibrationSamples {
+  SessionSamples session;
+  std::optional<WhiteLevel> white;
+};
+
 Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments,
-                                          const MaybeSensor& sensor) {
+                                          const MaybeSensor& sensor,
+                                          std::optional<WhiteLevel>* white) {
   std::vector<DecodedImage> images;
   std::vector<std::string> names;
   std::vector<ExposureTime> times;
@@ -91,6 +126,14 @@ Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments,
   }
   OMNIHDR_ASSIGN(Image<std::uint8_t> mask, MaskOf(arguments, sensor, names.front(),
                                                   images.front().width(), images.front().height()));
+  WhiteLevelFinder finder;
+  for (std::size_t k = 0; k < images.size(); ++k) {
+    finder.Add(images[k], arguments.bits, times[k].seconds(), 0, images[k].height(),
+               images[k].width() == mask.width() && images[k].height() == mask.height()
+                   ? mask.view()
+                   : ImageView<const std::uint8_t>());
+  }
+  *white = finder.Find();
   if (sensor && sensor->sensor().bayer != BayerOrder::kNone) {
     bool halved = false;
     for (DecodedImage& image : images) {
@@ -102,16 +145,16 @@ Result<ResponseSamples> SamplesFromImages(const ResponseArguments& arguments,
   }
   std::vector<ExposedFrame> frames;
   for (std::size_t k = 0; k < images.size(); ++k) frames.push_back({&images[k], {times[k], {}}});
-  return SamplesFromBracket(frames, names, arguments.bits, mask.view(), SampleOptions{});
+  return SamplesFromBracket(frames, names, arguments.bits, mask.view(), Below(*white));
 }
 
 // From pictures, or from the one session named.
-Result<SessionSamples> Samples(const ResponseArguments& arguments, const MaybeSensor& sensor) {
+Result<CalibrationSamples> Samples(const ResponseArguments& arguments, const MaybeSensor& sensor) {
   const std::filesystem::path session = arguments.inputs.front();
+  CalibrationSamples result;
   if (!IsSession(arguments)) {
-    SessionSamples result;
-    OMNIHDR_ASSIGN(result.samples, SamplesFromImages(arguments, sensor));
-    result.frames = static_cast<int>(result.samples.seconds.size());
+    OMNIHDR_ASSIGN(result.session.samples, SamplesFromImages(arguments, sensor, &result.white));
+    result.session.frames = static_cast<int>(result.session.samples.seconds.size());
     return result;
   }
   if (arguments.inputs.size() > 1) {
@@ -121,11 +164,16 @@ Result<SessionSamples> Samples(const ResponseArguments& arguments, const MaybeSe
   OMNIHDR_ASSIGN(const Image<std::uint8_t> mask,
                  MaskOf(arguments, sensor, session.string(), contents.info.camera.width,
                         contents.info.camera.height));
-  return SamplesFromSession(session, contents, mask.view(), SessionSampleOptions{});
+  result.white = WhiteLevelOfSession(session, contents, mask.view());
+  SessionSampleOptions options;
+  options.samples = Below(result.white);
+  OMNIHDR_ASSIGN(result.session, SamplesFromSession(session, contents, mask.view(), options));
+  return result;
 }
 
-std::string ResponseReport(const ResponseCalibration& calibration, const SessionSamples& source,
+std::string ResponseReport(const ResponseCalibration& calibration, const CalibrationSamples& all,
                            ResponseMethod method) {
+  const SessionSamples& source = all.session;
   const ResponseSamples& samples = source.samples;
   const auto [shortest, longest] =
       std::minmax_element(samples.seconds.begin(), samples.seconds.end());
@@ -137,6 +185,10 @@ std::string ResponseReport(const ResponseCalibration& calibration, const Session
   const Response& response = calibration.response;
   if (response.model() == ResponseModel::kLinear) {
     text += fmt::format("Z - {:.3f} proportional to exposure\n", response.black());
+  }
+  if (all.white) {
+    text += fmt::format("clips at value {:.1f}: {:.2g} % of the samples, in {} exposures\n",
+                        all.white->value, 100.0 * all.white->share, all.white->exposures);
   }
   for (std::size_t c = 0; c < 3; ++c) {
     const ResponseCurve& curve = calibration.curves[c];
@@ -167,8 +219,9 @@ std::string ResponseReport(const ResponseCalibration& calibration, const Session
   return text;
 }
 
-std::string ResponseReportJson(const ResponseCalibration& calibration, const SessionSamples& source,
-                               ResponseMethod method) {
+std::string ResponseReportJson(const ResponseCalibration& calibration,
+                               const CalibrationSamples& all, ResponseMethod method) {
+  const SessionSamples& source = all.session;
   const ResponseSamples& samples = source.samples;
   Json json = {{"method", ToString(method)},
                {"frames", source.frames},
@@ -177,6 +230,11 @@ std::string ResponseReportJson(const ResponseCalibration& calibration, const Ses
                {"residual_stops", calibration.residual_stops},
                {"residual_stops_with_rejected", calibration.all_stops},
                {"residual_stops_held_out", calibration.held_out_stops}};
+  if (all.white) {
+    json["white"] = {{"value", all.white->value},
+                     {"share", all.white->share},
+                     {"exposures", all.white->exposures}};
+  }
   for (std::size_t j = 0; j < samples.seconds.size(); ++j) {
     json["exposures"].push_back({{"picture", samples.names[j]},
                                  {"exposure_s", samples.seconds[j]},
@@ -246,14 +304,17 @@ Result<int> Calibrate(const ResponseArguments& arguments) {
   const std::optional<ResponseMethod> method = ResponseMethodFromString(arguments.method);
   if (!method) return Fail(ErrorKind::kUsage, "--method {}: no such method", arguments.method);
   OMNIHDR_ASSIGN(const MaybeSensor sensor, SensorOf(arguments));
-  OMNIHDR_ASSIGN(const SessionSamples source, Samples(arguments, sensor));
-  for (const std::string& warning : source.warnings) {
+  OMNIHDR_ASSIGN(const CalibrationSamples source, Samples(arguments, sensor));
+  for (const std::string& warning : source.session.warnings) {
     fmt::print(stderr, "warning: {}\n", warning);
   }
-  const ResponseSamples& samples = source.samples;
   ResponseCalibrationOptions options;
   options.method = *method;
-  OMNIHDR_ASSIGN(const ResponseCalibration calibration, CalibrateResponse(samples, options));
+  OMNIHDR_ASSIGN(ResponseCalibration calibration,
+                 CalibrateResponse(source.session.samples, options));
+  if (source.white && source.white->value < kWhiteAsItShouldBe) {
+    OMNIHDR_ASSIGN(calibration.response, calibration.response.WithWhite(source.white->value));
+  }
   if (!arguments.out.empty()) {
     OMNIHDR_TRY(WriteFileAtomic(arguments.out, FormatResponse(calibration.response) + "\n"));
   }

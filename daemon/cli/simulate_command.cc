@@ -165,6 +165,10 @@ void AddSimulateCommand(CLI::App& app, CommandRun& run) {
       ->capture_default_str();
   command->add_option("--read-noise", options.simulation.sensor.read_noise, "rms code values")
       ->capture_default_str();
+  command
+      ->add_option("--white-level", options.simulation.sensor.white,
+                   "value that the sensor clips at, 64 to 255")
+      ->capture_default_str();
   command->add_option("--noise-seed", options.simulation.sensor.seed, "seed of the sensor's noise")
       ->capture_default_str();
   command->add_flag("--no-odometer", arguments->no_odometer,

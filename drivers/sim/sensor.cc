@@ -78,6 +78,7 @@ Status SensorOptions::Validate() const {
   OMNIHDR_TRY(CheckRange("full_well_e", full_well_e, 100.0, 1e7));
   OMNIHDR_TRY(CheckRange("read_noise", read_noise, 0.0, 20.0));
   OMNIHDR_TRY(CheckRange("prnu", prnu, 0.0, 0.1));
+  OMNIHDR_TRY(CheckRange("white", white, 64.0, 255.0));
   return {};
 }
 
@@ -92,6 +93,7 @@ Image<std::uint8_t> Expose(ImageView<const float> radiance, const Exposure& expo
   const auto shot = static_cast<float>(gain * 255.0 / options.full_well_e);
   const auto read = static_cast<float>(gain * gain * options.read_noise * options.read_noise);
   const auto prnu = static_cast<float>(options.prnu);
+  const auto most = static_cast<float>(std::floor(options.white));
   const std::vector<float>& normal = NormalTable();
   const std::uint64_t frame_key = Mix(Mix(options.seed + 0x9e3779b97f4a7c15ULL) + frame);
   const std::uint64_t pattern_key = Mix(options.seed + 0xd1b54a32d192ed03ULL);
@@ -113,7 +115,7 @@ Image<std::uint8_t> Expose(ImageView<const float> radiance, const Exposure& expo
           const float mean = std::min(in[i] * scale * sensitivity, 1e6F);
           const float sigma = std::sqrt(read + shot * mean);
           const float value = mean + sigma * normal[noise % kQuantiles];
-          out[i] = static_cast<std::uint8_t>(std::clamp(value + 0.5F, 0.0F, 255.0F));
+          out[i] = static_cast<std::uint8_t>(std::clamp(value + 0.5F, 0.0F, most));
           noise >>= 16U;
           pattern >>= 16U;
         }

@@ -174,6 +174,7 @@ std::string FormatSimulation(const Simulation& s) {
                      {"read_noise", s.sensor.read_noise},
                      {"prnu", s.sensor.prnu},
                      {"noise_seed", s.sensor.seed}};
+  if (s.sensor.white != 255.0) simulation["white"] = s.sensor.white;
   if (s.movers.count > 0) {
     simulation["movers"] = s.movers.count;
     simulation["mover_speed"] = s.movers.speed;
@@ -218,6 +219,7 @@ Result<Simulation> ParseSimulation(const std::string& json) {
   OMNIHDR_TRY(Read(object, "mover_speed", s.movers.speed));
   OMNIHDR_TRY(Read(object, "full_well_e", s.sensor.full_well_e));
   OMNIHDR_TRY(Read(object, "read_noise", s.sensor.read_noise));
+  OMNIHDR_TRY(Read(object, "white", s.sensor.white));
   OMNIHDR_TRY(Read(object, "prnu", s.sensor.prnu));
   OMNIHDR_TRY(Read(object, "noise_seed", s.sensor.seed));
   if (Status valid = s.Validate(); !valid) {

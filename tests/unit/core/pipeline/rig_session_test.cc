@@ -231,6 +231,43 @@ TEST_F(RigMeasurer, ASensorsOwnResponseIsUsed) {
   EXPECT_THAT(Refusal(), HasSubstr("sensor[0].response"));
 }
 
+// A sensor's own white level decides what is saturated; one that clips short of what counts as
+// usable is told of, once, and of the others nothing.
+TEST_F(RigMeasurer, ASensorThatClipsEarlyIsNamedUntilItsWhiteLevelIsKnown) {
+  constexpr std::uint8_t kFull = 225;
+  const auto bright_ahead = [](const Eigen::Vector3d& at) -> Eigen::Vector3d {
+    return Eigen::Vector3d::Constant(0.2 + 3.0 * std::max(0.0, at.normalized().x()));
+  };
+  const auto measure = [&](FrameMeasurer& measurer, double seconds) {
+    DecodedImage image = testing::ShootRing(rig_, bright_ahead, 10.0, seconds);
+    auto& pixels = std::get<Image<std::uint8_t>>(image.pixels);
+    for (int y = 0; y < rig_.sensors[0].lens.height(); ++y) {  // sensor 0 looks ahead
+      for (int x = 0; x < pixels.width(); ++x) pixels.at(x, y) = std::min(pixels.at(x, y), kFull);
+    }
+    const std::vector<ExposedFrame> frames = {{&image, {ExposureTime::Seconds(seconds), {}}}};
+    return measurer.Measure(frames, {}).value();
+  };
+  const double usable = MeasureOptions{}.value_high;
+  FrameMeasurer wrong = FrameMeasurer::Open(path(), info_).value();
+  const Measurement taken_for_light = measure(wrong, 1.0);
+  EXPECT_FALSE(wrong.WhiteLevelWarning(usable));  // one exposure
+  measure(wrong, 2.0);
+  const std::optional<std::string> warning = wrong.WhiteLevelWarning(usable);
+  ASSERT_TRUE(warning);
+  EXPECT_THAT(*warning, HasSubstr("sensor \"sensor0\": clips at value 22"));
+  EXPECT_FALSE(wrong.WhiteLevelWarning(usable));  // told
+  const int width = taken_for_light.radiance.width();
+  EXPECT_EQ(taken_for_light.flags.at(width / 2, width / 4) & kSaturatedAny, 0);
+
+  rig_.sensors[0].response_json = R"({"model": "linear", "white": 225})";
+  WriteRig();
+  FrameMeasurer right = FrameMeasurer::Open(path(), info_).value();
+  measure(right, 2.0);
+  const Measurement saturated = measure(right, 1.0);
+  EXPECT_FALSE(right.WhiteLevelWarning(usable));
+  EXPECT_NE(saturated.flags.at(width / 2, width / 4) & kSaturatedAny, 0);
+}
+
 TEST_F(RigMeasurer, TheCalibrationTravelsWithItsMasks) {
   rig_.sensors[1].mask_file = "masks/one.png";
   rig_.sensors[2].mask_file = "masks/one.png";

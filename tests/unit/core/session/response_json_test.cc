@@ -40,6 +40,11 @@ TEST(ResponseJson, EveryModelReadsBackExactly) {
   const Result<Response> table_again = ParseResponse(FormatResponse(Table()), "r");
   ASSERT_TRUE(table_again) << table_again.error().message;
   EXPECT_EQ(table_again->table(), Table().table());
+  EXPECT_EQ(table_again->white(), 255.0);
+  const Response early = Table().WithWhite(238.25).value();
+  const Result<Response> early_again = ParseResponse(FormatResponse(early), "r");
+  ASSERT_TRUE(early_again) << early_again.error().message;
+  EXPECT_EQ(early_again->white(), 238.25);
 }
 
 TEST(ResponseJson, AWrongFileIsRefusedWithItsLineAndKey) {
@@ -48,6 +53,10 @@ TEST(ResponseJson, AWrongFileIsRefusedWithItsLineAndKey) {
   EXPECT_EQ(wrong.error().kind, ErrorKind::kData);
   EXPECT_THAT(wrong.error().message, HasSubstr("curve.json:1: model: \"cubic\""));
   EXPECT_FALSE(ParseResponse("", "curve.json"));
+  const Result<Response> bright =
+      ParseResponse("{\"model\": \"linear\", \"white\": 300}", "r.json");
+  ASSERT_FALSE(bright);
+  EXPECT_THAT(bright.error().message, HasSubstr("white: 300"));
   EXPECT_FALSE(ParseResponse("[1]", "curve.json"));
 }
 

@@ -51,9 +51,11 @@ class CalibrateResponseCommand : public ::testing::Test {
     ASSERT_TRUE(WriteFileAtomic(Path("rig.toml"), text));
   }
 
+  double white_ = 255.0;  // value that the sensors clip at
+
   // What a sensor sees in `seconds`: patches of light over two decades, coloured.
-  static void Shoot(std::size_t sensor, double seconds, BayerOrder bayer,
-                    Image<std::uint8_t>* frame, int first_row) {
+  void Shoot(std::size_t sensor, double seconds, BayerOrder bayer, Image<std::uint8_t>* frame,
+             int first_row) const {
     const Response response = Response::Linear(kBlack[sensor]).value();
     std::mt19937 random(static_cast<std::uint32_t>(seconds * 1000.0) + 17);
     std::normal_distribution<double> noise(0.0, 0.4);
@@ -66,7 +68,7 @@ class CalibrateResponseCommand : public ::testing::Test {
                                std::array{0.7, 1.0, 0.5}[static_cast<std::size_t>(colour)];
           const double z = response.ValueFromExposure(colour, light * seconds) + noise(random);
           frame->at(x, first_row + y, c) =
-              static_cast<std::uint8_t>(std::clamp(std::round(z), 0.0, 255.0));
+              static_cast<std::uint8_t>(std::clamp(std::round(z), 0.0, white_));
         }
       }
     }
@@ -136,6 +138,20 @@ TEST_F(CalibrateResponseCommand, OfStackedMosaicsTheSensorsOwnRowsCount) {
   EXPECT_NEAR(BlackInRig(1), kBlack[1], 0.5);
   EXPECT_THAT(RigText(), StartsWith("# The head of May.\n"));
   EXPECT_THAT(RigText(), HasSubstr("centre = [80, 60]  # by eye\n"));
+}
+
+TEST_F(CalibrateResponseCommand, AWhiteLevelBelowTheLargestValueIsMeasuredAndKeptOutOfTheCurve) {
+  white_ = 160.0;  // reached in two of the exposures
+  WriteRig(BayerOrder::kNone);
+  const Result<int> result =
+      Run(Bracket({1}, BayerOrder::kNone, 3),
+          {"--method", "linear", "--rig", Path("rig.toml"), "--sensor", "right"});
+  ASSERT_TRUE(result) << result.error().message;
+  EXPECT_THAT(printed_, HasSubstr("clips at value 1"));
+  EXPECT_NEAR(BlackInRig(1), kBlack[1], 0.5);
+  const Rig rig = ReadRig(Path("rig.toml")).value();
+  // A surface that is nearly as bright may lower it a little: on the safe side.
+  EXPECT_NEAR(ParseResponse(rig.sensors[1].response_json, "rig")->white(), 159.0, 1.5);
 }
 
 TEST_F(CalibrateResponseCommand, TheRigsOwnMaskHides) {
