@@ -123,8 +123,8 @@ std::optional<std::string> FrameMeasurer::WhiteLevelWarning(double value_high) {
     white_level_told_ = true;
     return fmt::format(
         "{}: clips at value {:.1f} ({:.2g} % of its samples, in {} exposures), expected above "
-        "{:.1f}, up to "
-        "which values count as usable: highlights may be red or cyan; omnihdr calibrate response "
+        "{:.1f}, up to which values count as usable: highlights may be red or cyan; omnihdr "
+        "calibrate response "
         "measures its white level, or lower photometry.value_high",
         stitcher_ ? fmt::format("sensor \"{}\"", sensor_names_[s]) : std::string("the camera"),
         white->value, 100.0 * white->share, white->exposures, usable);

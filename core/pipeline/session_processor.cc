@@ -498,9 +498,11 @@ class SessionProcessorImpl final : public SessionProcessor {
       }
       return std::nullopt;
     }
-    if (std::optional<std::string> white = measurer_->WhiteLevelWarning(options_.value_high)) {
+    // Not into a view: which frames have been seen depends on where a resumed run began, and a
+    // view's bytes must not.
+    if (const std::optional<std::string> white =
+            measurer_->WhiteLevelWarning(options_.value_high)) {
       Warn(*white);
-      notes.push_back(std::move(*white));
     }
     for (const FrameRecord* record : usable) {
       if (options_.mover_masks.empty()) break;

@@ -9,7 +9,6 @@
 #include <nlohmann/json.hpp>
 #include <opencv2/imgproc.hpp>
 #include <span>
-#include <system_error>
 #include <utility>
 #include <vector>
 
@@ -33,13 +32,6 @@ using Json = nlohmann::ordered_json;
 
 constexpr int kPictureQuality = 95;
 constexpr double kWhiteShare = 0.99;  // of a frame's samples that stay below white
-
-Status MakeFolder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (error) return Fail(ErrorKind::kCannotCreate, "{}: {}", folder.string(), error.message());
-  return {};
-}
 
 // Names become parts of paths, URDF links and other programs' identifiers.
 std::string IdentifierOf(const std::string& name) {

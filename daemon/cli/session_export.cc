@@ -59,13 +59,6 @@ Pose CameraFromWorld(const Pose& world_from_picture, const Eigen::Matrix3d& came
          world_from_picture.Inverse();
 }
 
-Status MakeFolder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (error) return Fail(ErrorKind::kCannotCreate, "{}: {}", folder.string(), error.message());
-  return {};
-}
-
 Image<std::uint8_t> FaceOf(const Image<std::uint8_t>& panorama, const Face& face, int size) {
   const Projection projection = Projection::Equirectangular(panorama.width(), panorama.height());
   const int channels = panorama.channels();
@@ -109,6 +102,13 @@ Result<Image<std::uint8_t>> ReadPanorama(const fs::path& path) {
 }
 
 }  // namespace
+
+Status MakeFolder(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) return Fail(ErrorKind::kCannotCreate, "{}: {}", folder.string(), error.message());
+  return {};
+}
 
 Result<ExportPlan> PlanExport(const fs::path& session, const fs::path& views, int chain) {
   OMNIHDR_ASSIGN(const SessionContents contents, ReadSession(session));

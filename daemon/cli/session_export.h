@@ -40,6 +40,9 @@ struct ExportPlan {
 Result<ExportPlan> PlanExport(const std::filesystem::path& session,
                               const std::filesystem::path& views, int chain);
 
+// With the folders above it; one that is there is none the worse for it.
+Status MakeFolder(const std::filesystem::path& folder);
+
 // "seconds x y z qx qy qz qw" a line, world_from_camera: the form of TUM's benchmark, which ROS
 // tools read; the camera's axes are those of a ROS body (REP 103).
 std::string FormatTum(const ExportPlan& plan);
