@@ -22,7 +22,13 @@ constexpr std::size_t kPage = 4096;
 constexpr std::size_t kLeastKept = 64 * kPage;
 // Freed arrays that are kept for the next one of their size, in bytes together.
 constexpr std::size_t kMostKept = std::size_t{192} << 20U;
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define OMNIHDR_CLANG_SANITIZER
+#endif
+#endif
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__) || \
+    defined(OMNIHDR_CLANG_SANITIZER)
 constexpr bool kKeeps = false;  // a sanitizer shall see every array come and go
 #else
 constexpr bool kKeeps = true;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <utility>
 #include <vector>
 
 #include "core/base/file.h"
@@ -60,7 +61,9 @@ class SensorTable {
       const TomlValue& item = value->items[c];
       const double before =
           item.type == TomlValue::Type::kInteger ? static_cast<double>(item.integer) : item.real;
-      if (before != numbers[c]) splices_.push_back({item.begin, item.end, TomlText(numbers[c])});
+      // By its text: a zero with a sign equals one without and is written otherwise.
+      std::string number = TomlText(numbers[c]);
+      if (TomlText(before) != number) splices_.push_back({item.begin, item.end, std::move(number)});
     }
   }
 

@@ -398,5 +398,35 @@ TEST_F(Exr, ASmallFileWithManyLargeChannelsIsRefused) {
       << back.error().message;
 }
 
+TEST_F(Exr, AnAttributeLargerThanTheFileIsRefusedAndNamed) {
+  ExrAttributes attributes;
+  attributes.strings["owner"] = "nobody";
+  ASSERT_TRUE(WriteExr(path(), {{"Y", Image<float>(16, 8, 1, 0.0F)}}, attributes));
+  ASSERT_TRUE(ReadExr(path()));
+  const std::string whole = FileBytes(path());
+  const std::string field = std::string("owner\0string\0", 13);
+  const std::size_t size = whole.find(field);
+  ASSERT_NE(size, std::string::npos);
+  for (const std::string& bytes :
+       {std::string("\0\0\0\x7f", 4), std::string("\xff\xff\xff\xff", 4)}) {
+    std::string wrong = whole;
+    WriteBytes(path(), wrong.replace(size + field.size(), 4, bytes));
+    const Result<ExrImage> back = ReadExr(path());
+    ASSERT_FALSE(back);
+    EXPECT_NE(back.error().message.find("'owner', type 'string'"), std::string::npos)
+        << back.error().message;
+  }
+}
+
+TEST_F(Exr, ASmallFileWithVeryLongLinesIsRefused) {
+  // All its lines are in one chunk, which is there: not truncated, and 512 MiB of floats.
+  ASSERT_TRUE(WriteExr(path(), {{"Y", Image<float>(16, 8, 1, 0.0F)}}, {}, ExrCompression::kZip));
+  WriteBytes(path(), WithWindow(FileBytes(path()), 0, 0, (1 << 24) - 1, 7));
+  const Result<ExrImage> back = ReadExr(path());
+  ASSERT_FALSE(back);
+  EXPECT_NE(back.error().message.find("expected at least"), std::string::npos)
+      << back.error().message;
+}
+
 }  // namespace
 }  // namespace omnihdr::exr_test

@@ -77,6 +77,13 @@ TEST(RigEdit, WhatIsThereAlreadyLeavesEveryByte) {
   EXPECT_EQ(Edited(kKept, {"up", {}, {}, {}}), kKept);
 }
 
+TEST(RigEdit, AZeroLosesItsSign) {
+  const std::string text =
+      Replaced("[0, 0, 0] # none", "[0, 0, 0]\n  vignetting = [0.5, -0.0, 0]", std::string(kKept));
+  EXPECT_EQ(Edited(text, {"ä", {}, std::array{0.5, 0.0, 0.0}, {}}),
+            Replaced("-0.0,", "0.0,", text));
+}
+
 TEST(RigEdit, AMissingKeyGetsItsOwnLineBehindTheSensorsOthers) {
   const std::string text = Edited(kKept, {"ä", {}, std::array{-0.2, 0.05, 0.0}, {}});
   EXPECT_EQ(text, Replaced("translation = [0, 0, 0] # none\n",
