@@ -113,23 +113,79 @@ bool IsAboutTheFile(std::string_view name) {
          name == "screenWindowWidth";
 }
 
-// The header as OpenEXR's C library reads it, which holds every size in it against the file's. The
-// C++ library believes them: an attribute of a small file gets up to 2 GiB before it is read.
-Status CheckHeader(const std::filesystem::path& path) {
-  static thread_local std::string reason;  // the handler is told of nothing of ours
-  reason.clear();
-  exr_context_initializer_t wishes = EXR_DEFAULT_CONTEXT_INITIALIZER;
-  wishes.error_handler_fn = [](exr_const_context_t, exr_result_t, const char* message) {
-    if (reason.empty()) reason = message;
-  };
-  exr_context_t context = nullptr;
-  const exr_result_t result = exr_start_read(&context, path.c_str(), &wishes);
-  static_cast<void>(exr_finish(&context));
-  // An attribute that does not fit is told, skipped, and no failure of the whole; there it is one.
-  if (result == EXR_ERR_SUCCESS && reason.empty()) return {};
-  std::erase_if(reason, [](char c) { return static_cast<unsigned char>(c) < ' '; });
-  return Fail(ErrorKind::kData, "{}: {}", path.string(),
-              reason.empty() ? exr_get_default_error_message(result) : reason);
+// A header that the C library has read.
+class ExrHeader {
+ public:
+  explicit ExrHeader(const std::filesystem::path& path) {
+    reason_.clear();
+    exr_context_initializer_t wishes = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    wishes.error_handler_fn = [](exr_const_context_t, exr_result_t, const char* message) {
+      if (reason_.empty()) reason_ = message;
+    };
+    const exr_result_t result = exr_start_read(&context_, path.c_str(), &wishes);
+    if (result != EXR_ERR_SUCCESS && reason_.empty()) {
+      reason_ = exr_get_default_error_message(result);
+    }
+    std::erase_if(reason_, [](char c) { return static_cast<unsigned char>(c) < ' '; });
+  }
+  ExrHeader(const ExrHeader&) = delete;
+  ExrHeader& operator=(const ExrHeader&) = delete;
+  ~ExrHeader() { exr_finish(&context_); }
+
+  // What is wrong with it, or "". An attribute that does not fit is told, skipped, and no failure
+  // of the whole; here it is one.
+  static const std::string& reason() { return reason_; }
+
+  exr_attr_box2i_t DataWindow() const {
+    exr_attr_box2i_t window = {};
+    exr_get_data_window(context_, 0, &window);
+    return window;
+  }
+  std::size_t ChannelCount() const {
+    const exr_attr_chlist_t* channels = nullptr;
+    exr_get_channels(context_, 0, &channels);
+    return channels == nullptr ? 0 : static_cast<std::size_t>(channels->num_channels);
+  }
+
+ private:
+  inline static thread_local std::string reason_;  // the handler is told of nothing of ours
+  exr_context_t context_ = nullptr;
+};
+
+// Whether a file may be what it says, before anything of that size is made. OpenEXR's C library
+// holds every size in a header against the file's; the C++ library believes them, and gives an
+// attribute of a small file up to 2 GiB before it reads it.
+Status CheckSizes(const std::filesystem::path& path) {
+  const ExrHeader header(path);
+  if (!ExrHeader::reason().empty()) {
+    return Fail(ErrorKind::kData, "{}: {}", path.string(), ExrHeader::reason());
+  }
+  const exr_attr_box2i_t window = header.DataWindow();
+  const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
+  const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
+  if (width <= 0 || height <= 0 ||
+      static_cast<std::size_t>(width) > kMaxImagePixels / static_cast<std::size_t>(height)) {
+    return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected at most {} pixels", path.string(),
+                width, height, kMaxImagePixels);
+  }
+  const std::size_t channels = header.ChannelCount();
+  const std::size_t pixels_allowed = kMaxExrValues / std::max(channels, std::size_t{1});
+  if (static_cast<std::size_t>(width) > pixels_allowed / static_cast<std::size_t>(height)) {
+    return Fail(ErrorKind::kData, "{}: {} channels of {}x{} pixels, expected at most {} values",
+                path.string(), channels, width, height, kMaxExrValues);
+  }
+  // Lines are read in blocks of up to so many, whole ones even of a picture that has fewer.
+  constexpr std::int64_t kMostLinesOfABlock = 256;
+  const std::size_t bytes = sizeof(float) * channels *
+                            static_cast<std::size_t>(width * std::max(height, kMostLinesOfABlock));
+  std::error_code error;
+  const std::uintmax_t stored = std::filesystem::file_size(path, error);
+  if (!error && bytes > kUnquestionedBytes && bytes / kMaxCompression > stored) {
+    return Fail(ErrorKind::kData,
+                "{}: {} bytes for {} channels of {}x{} pixels, expected at least {}", path.string(),
+                stored, channels, width, height, bytes / kMaxCompression);
+  }
+  return {};
 }
 
 ExrAttributes ReadAttributes(const Imf::Header& header) {
@@ -258,39 +314,16 @@ Status WriteExrAtomic(const std::filesystem::path& path, const std::vector<ExrCh
 }
 
 Result<ExrImage> ReadExr(const std::filesystem::path& path) {
-  OMNIHDR_TRY(CheckHeader(path));
+  OMNIHDR_TRY(CheckSizes(path));
   try {
     Imf::InputFile file(path.c_str());
     const Imath::Box2i window = file.header().dataWindow();
-    const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
-    const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
-    if (width <= 0 || height <= 0 ||
-        static_cast<std::size_t>(width) > kMaxImagePixels / static_cast<std::size_t>(height)) {
-      return Fail(ErrorKind::kData, "{}: {}x{} pixels, expected at most {} pixels", path.string(),
-                  width, height, kMaxImagePixels);
-    }
-    std::size_t channel_count = 0;
-    for (auto it = file.header().channels().begin(); it != file.header().channels().end(); ++it) {
-      ++channel_count;
-    }
-    const std::size_t pixels_allowed = kMaxExrValues / std::max(channel_count, std::size_t{1});
-    if (static_cast<std::size_t>(width) > pixels_allowed / static_cast<std::size_t>(height)) {
-      return Fail(ErrorKind::kData, "{}: {} channels of {}x{} pixels, expected at most {} values",
-                  path.string(), channel_count, width, height, kMaxExrValues);
-    }
-    // Before a small file with a large header makes us allocate what it does not hold.
+    const int width = window.max.x - window.min.x + 1;
+    const int height = window.max.y - window.min.y + 1;
     if (!file.isComplete()) return Fail(ErrorKind::kData, "{}: truncated EXR file", path.string());
-    const std::size_t bytes =
-        sizeof(float) * channel_count * static_cast<std::size_t>(width * height);
-    const std::size_t stored = std::filesystem::file_size(path);
-    if (bytes > kUnquestionedBytes && bytes / kMaxCompression > stored) {
-      return Fail(ErrorKind::kData,
-                  "{}: {} bytes for {} channels of {}x{} pixels, expected at least {}",
-                  path.string(), stored, channel_count, width, height, bytes / kMaxCompression);
-    }
     ExrImage image;
-    image.width = static_cast<int>(width);
-    image.height = static_cast<int>(height);
+    image.width = width;
+    image.height = height;
     Imf::FrameBuffer frame_buffer;
     for (auto it = file.header().channels().begin(); it != file.header().channels().end(); ++it) {
       if (it.channel().xSampling != 1 || it.channel().ySampling != 1) {

@@ -102,6 +102,18 @@ void CountVoters(const float* __restrict green, const float* __restrict trust,
 }
 
 OMNIHDR_SIMD_CLONES
+void DropOutside(const float* __restrict green, const std::uint8_t* __restrict flags,
+                 const float* __restrict least, const float* __restrict most, int count,
+                 float* __restrict trust) {
+  for (int i = 0; i < count; ++i) {
+    const int outside =
+        static_cast<int>(green[i] < least[i]) | static_cast<int>(green[i] > most[i]);
+    const int drops = outside & static_cast<int>((flags[i] & kSaturatedAny) == 0);
+    trust[i] = drops != 0 ? 0.0F : trust[i];
+  }
+}
+
+OMNIHDR_SIMD_CLONES
 void AddWeighted(const float* __restrict radiance, const float* __restrict variance,
                  const float* __restrict trust, int count, float* __restrict sum,
                  float* __restrict weight, float* __restrict weights) {
@@ -225,6 +237,12 @@ void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, 
                  m.variance_floor[c], m.variance_per_radiance[c], relative,
                  row->sampled.radiance[c].data(), row->variance[c].data());
   }
+}
+
+void DistrustOutside(const std::vector<float>& least, const std::vector<float>& most,
+                     SourceRow* row) {
+  DropOutside(row->sampled.radiance[1].data(), row->sampled.flags.data(), least.data(), most.data(),
+              static_cast<int>(least.size()), row->trust.data());
 }
 
 void PlainRow::Start(const Measurement& own, const SampledRow& mine) {

@@ -44,6 +44,11 @@ void SampleSource(const SourceLookup& source, const RowSampler& sampler, int y, 
                   int block, const float* disparity, float occlusion_tolerance,
                   const MergeErrors& errors, SourceRow* row);
 
+// No trust in samples whose green is outside its pixel's limits (DarkSurround); a clipped one is a
+// bound and stays.
+void DistrustOutside(const std::vector<float>& least, const std::vector<float>& most,
+                     SourceRow* row);
+
 // The mean of a row's plain pixels: those that the reference measured in every channel, and those
 // that are dark there while the others do not contradict each other. Values of other pixels are
 // computed as well and mean nothing.

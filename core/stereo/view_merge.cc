@@ -18,6 +18,7 @@
 #include "core/sphere/latlong_grid.h"
 #include "core/stereo/agreement_field.h"
 #include "core/stereo/confidence.h"
+#include "core/stereo/dark_surround.h"
 #include "core/stereo/fuse.h"
 #include "core/stereo/merge_row.h"
 #include "core/stereo/merge_source.h"
@@ -502,6 +503,9 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
          .misalignment_px = options.misalignment_px});
   }
 
+  std::optional<DarkSurround> surround;
+  if (options.consistency) surround.emplace(own);
+
   if (options.refine_exposure) view.exposure = TestExposure(sources, options.refine_limit);
   ParallelFor(height, 8, [&](int begin, int end) {
     MergeSamples samples;
@@ -512,6 +516,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
     SampledRow mine_row;
     std::array<SourceRow, kMaxMergeViews> rows;
     PlainRow plain;
+    std::vector<float> least;
+    std::vector<float> most;
     std::vector<float> misregistration(static_cast<std::size_t>(width));
     std::vector<float> known_disparity(static_cast<std::size_t>(width), 0.0F);
     for (int y = begin; y < end; ++y) {
@@ -540,10 +546,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       for (std::size_t i = 0; i < misregistration.size(); ++i) {
         misregistration[i] = Misregistration(options, map == nullptr ? kGuess : confidences[i]);
       }
+      if (surround) surround->LimitsOfRow(own_points, &least, &most);
       plain.Start(own, mine_row);
       for (std::size_t n = 0; n < sources.size(); ++n) {
         SampleSource(sources[n], source_rows[n], y, width, kBlock, disparities, occlusion_tolerance,
                      {misregistration.data(), options.model_error}, &rows[n]);
+        if (surround) DistrustOutside(least, most, &rows[n]);
         plain.Add(own, mine_row, options.consistency, kHalfTrustSigmas, relative_tolerance,
                   &rows[n]);
       }
@@ -555,10 +563,10 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
         const bool is_plain = !is_dark || ((mine_row.flags[i] & ~kDarkAny) == 0 &&
                                            options.consistency && plain.IsAgreedDark(i));
         if (is_plain && !by_mover && !by_hat) {
-          const float least = kLeastShare * plain.weight()[i];
-          unsigned contributed = plain.own_weight()[i] >= least ? 1U : 0U;
+          const float least_weight = kLeastShare * plain.weight()[i];
+          unsigned contributed = plain.own_weight()[i] >= least_weight ? 1U : 0U;
           for (std::size_t n = 0; n < sources.size(); ++n) {
-            contributed |= rows[n].weight[i] >= least ? 2U << n : 0U;
+            contributed |= rows[n].weight[i] >= least_weight ? 2U << n : 0U;
           }
           for (std::size_t c = 0; c < 3; ++c) out[c] = plain.Mean(i, c);
           view.sources.at(x, y) = static_cast<std::uint8_t>(contributed);

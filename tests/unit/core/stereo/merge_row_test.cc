@@ -74,5 +74,14 @@ TEST(LookUpDisparity, TakesWhatIsKnownAndGoesOnRoundTheGlobe) {
   EXPECT_EQ(confidence[3], 0.0F);
 }
 
+TEST(DistrustOutside, OnlyOfWhatIsMeasured) {
+  SourceRow row;
+  row.sampled.radiance[1] = {0.5F, 1.0F, 3.0F, 5.0F, 5.0F};
+  row.sampled.flags = {0, 0, 0, 0, kSaturatedR};
+  row.trust = {0.9F, 0.9F, 0.9F, 0.9F, 0.9F};
+  DistrustOutside({0.6F, 0.6F, 0.6F, 0.6F, 0.6F}, {4.0F, 4.0F, 4.0F, 4.0F, 4.0F}, &row);
+  EXPECT_EQ(row.trust, (std::vector<float>{0.0F, 0.9F, 0.9F, 0.0F, 0.9F}));
+}
+
 }  // namespace
 }  // namespace omnihdr::merge_row_test
