@@ -122,6 +122,7 @@ class ExrHeader {
     wishes.error_handler_fn = [](exr_const_context_t, exr_result_t, const char* message) {
       if (reason_.empty()) reason_ = message;
     };
+    wishes.flags = EXR_CONTEXT_FLAG_STRICT_HEADER;  // else it stops at an end in the wrong place
     const exr_result_t result = exr_start_read(&context_, path.c_str(), &wishes);
     if (result != EXR_ERR_SUCCESS && reason_.empty()) {
       reason_ = exr_get_default_error_message(result);
