@@ -19,13 +19,15 @@ class AgreementField {
   static constexpr int kWidth = 128;
   static constexpr int kHeight = 64;
 
+  // What the residuals' ratios are of.
+  enum class Ratio { kReferenceToSource, kSourceToReference };
   struct Residual {
     int cell = 0;
-    float ratio = 1.0F;  // reference / source
+    float ratio = 1.0F;
     float noise = 0.0F;  // variance of the ratio that noise and misregistration explain
   };
 
-  void Fit(const std::vector<Residual>& residuals) {
+  void Fit(const std::vector<Residual>& residuals, Ratio of = Ratio::kReferenceToSource) {
     field_.assign(static_cast<std::size_t>(kWidth) * kHeight, 1.0F);
     excess_ = kUnknownExcess;
     if (residuals.size() < kLeastResiduals) return;
@@ -76,6 +78,8 @@ class AgreementField {
     std::transform(residuals.begin(), residuals.end(), values.begin(),
                    [](const Residual& r) { return r.noise; });
     excess_ = std::clamp(deviation * deviation - median_of(), 0.0F, kUnknownExcess);
+    if (of == Ratio::kReferenceToSource) return;
+    for (float& factor : field_) factor = 1.0F / factor;
   }
 
   // Factor that brings the source's radiance to the reference's, at a point in cells.

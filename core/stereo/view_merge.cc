@@ -88,9 +88,11 @@ class WellExposed {
         low_(kLow * std::max(mine.saturation[1], theirs.saturation[1])),
         high_(kHigh * std::min(mine.saturation[1], theirs.saturation[1])) {}
   bool operator()(float mine_y, float theirs_y) const {
-    const float y = by_mine_ ? mine_y : theirs_y;
+    const float y = Cleaner(mine_y, theirs_y);
     return y >= low_ && y <= high_;
   }
+  bool by_mine() const { return by_mine_; }
+  float Cleaner(float mine_y, float theirs_y) const { return by_mine_ ? mine_y : theirs_y; }
 
  private:
   static constexpr float kLow = 0.06F;  // of the radiance that saturates
@@ -407,6 +409,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       std::vector<AgreementField::Residual> residuals;
       std::vector<float> exposure_ratios;
       const WellExposed well_exposed(own, *source.measurement);
+      const bool by_source = !well_exposed.by_mine();
       const int blocks_x = (width + kBlock - 1) / kBlock;
       const int blocks_y = (height + kBlock - 1) / kBlock;
       std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
@@ -436,7 +439,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const auto variance = [](const Measurement& m, float e) {
             return m.variance_floor[1] + m.variance_per_radiance[1] * e;
           };
-          const float noise = variance(own, theirs_y) + variance(*source.measurement, theirs_y);
+          const float signal = well_exposed.Cleaner(mine_y, theirs_y);
+          const float noise = variance(own, signal) + variance(*source.measurement, signal);
           block.mine += mine_y;
           block.theirs += theirs_y;
           block.noise += noise;
@@ -448,7 +452,7 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           block.AddPlace(1, static_cast<float>(y % kBlock) - kMiddle, theirs_y);
           if (map != nullptr && own_confidence.at(static_cast<int>(i), row) < kTrustedScore)
             continue;
-          if (theirs_y < kLeastNoiseFloors * source.measurement->noise_floor) continue;
+          if (signal < kLeastNoiseFloors * source.measurement->noise_floor) continue;
           const float ratio = mine_y / theirs_y;
           if (ratio < 1.0F / kLargestRatio || ratio > kLargestRatio) continue;
           if (well_exposed(mine_y, theirs_y)) exposure_ratios.push_back(ratio);
@@ -456,11 +460,13 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
                                AgreementField::kWidth +
                            static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
-          residuals.push_back({cell, ratio, (noise + contrast * contrast) / (theirs_y * theirs_y)});
+          residuals.push_back({cell, by_source ? ratio : 1.0F / ratio,
+                               (noise + contrast * contrast) / (signal * signal)});
         }
       }
       if (!options.consistency) residuals.clear();  // a field of ones
-      source.agreement.Fit(residuals);
+      source.agreement.Fit(residuals, by_source ? AgreementField::Ratio::kReferenceToSource
+                                                : AgreementField::Ratio::kSourceToReference);
       source.exposure_ratio = Median(std::move(exposure_ratios));
       source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
       source.clipped_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);

@@ -173,6 +173,26 @@ TEST(MergeViews, ASaturatedPixelIsFilledFromAShorterExposure) {
   EXPECT_LT(errors[errors.size() * 9 / 10], std::log10(1.35));
 }
 
+TEST(MergeViews, NoiseOfMuchShorterExposuresDoesNotDimWhatTheyFillIn) {
+  // All that both measured is close to the shorter one's noise: compared by which of its values
+  // are above it, it passes for brighter than it is, and lamps come out too dark.
+  const std::vector<double> seconds = {0.1, 0.1, 6.4, 0.1, 0.1};
+  const Setting s = Expose(TheDrive(), seconds);
+  const MergedView view = s.Merge(kNeighbours);
+  const MergedView clean = Expose(TheDrive(), seconds, {}, false).Merge(kNeighbours);
+  std::vector<float> shares;
+  for (int y = 4; y < kHeight - 4; ++y) {
+    for (int x = 0; x < kWidth; ++x) {
+      if (!OwnSaturated(s, x, y) || OriginAt(view, x, y) != PixelOrigin::kMeasured) continue;
+      shares.push_back(view.radiance.at(x, y, 1) / clean.radiance.at(x, y, 1));
+    }
+  }
+  ASSERT_GT(shares.size(), 1000U);
+  const auto middle = shares.begin() + static_cast<std::ptrdiff_t>(shares.size() / 2);
+  std::nth_element(shares.begin(), middle, shares.end());
+  EXPECT_NEAR(*middle, 1.0F, 0.015F);
+}
+
 TEST(MergeViews, AWrongDisparityThatHidesAClippedPixelEverywhereDoesNotLeaveAHole) {
   Setting s = Expose(TheDrive(), {0.5, 0.5, 8.0, 0.5, 0.5});
   // Lone pixels of the map lie far behind their surroundings, which then seem to cover them in
