@@ -64,7 +64,7 @@ float DarkSurround::Variance(float radiance) const {
 
 void DarkSurround::LimitsOfRow(const PointRow& points, std::vector<float>* least,
                                std::vector<float>* most) const {
-  least->assign(points.x.size(), 0.0F);
+  least->assign(points.x.size(), -kInfinity);
   most->assign(points.x.size(), kInfinity);
   const int width = mean_.width();
   const int height = mean_.height();

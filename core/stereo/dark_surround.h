@@ -19,8 +19,8 @@ class DarkSurround {
   explicit DarkSurround(const Measurement& own);
 
   // The least and the most radiance of green that each point (x, y of the view's own pixels) may
-  // have: three standard deviations of a mean, and a tenth, beyond the means around it. 0 and
-  // infinity where the view is not dark, or has not measured all of the pixels around.
+  // have: three standard deviations of a mean, and a tenth, beyond the means around it. Infinite
+  // where the view is not dark, or has not measured all of the pixels around.
   void LimitsOfRow(const PointRow& points, std::vector<float>* least,
                    std::vector<float>* most) const;
 

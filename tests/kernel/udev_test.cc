@@ -38,6 +38,7 @@ using integration::Eventually;
 using ::testing::HasSubstr;
 
 constexpr const char* kUdevd = "/usr/lib/systemd/systemd-udevd";
+constexpr const char* kUdevadm = "/usr/bin/udevadm";
 constexpr const char* kRun = "/run/udev";
 
 // "gpio 660", "?" when it is not there.
@@ -55,6 +56,9 @@ class Udev : public ::testing::Test {
     udevd_ = std::make_unique<integration::Program>(kUdevd, std::vector<std::string>{"--debug"},
                                                     folder_.path() / "udevd.log");
     ASSERT_TRUE(Eventually([] { return fs::exists(fs::path(kRun) / "control"); })) << udevd_->Log();
+    // That is there before it listens to the kernel: what comes meanwhile is never told it.
+    integration::Program ping(kUdevadm, {"control", "--ping"}, folder_.path() / "ping.log");
+    ASSERT_EQ(ping.Wait(), 0) << ping.Log() << udevd_->Log();
   }
   void TearDown() override {
     if (!udevd_) return;
