@@ -83,7 +83,9 @@ TEST(DarkSurround, LeavesWhatIsThereAndDropsTheOtherSide) {
 }
 
 TEST(DarkSurround, SaysNothingOfWhatIsBrightOrNotMeasured) {
-  const auto has_none = [](const Limits& l) { return l.least == -kInfinity && l.most == kInfinity; };
+  const auto has_none = [](const Limits& l) {
+    return l.least == -kInfinity && l.most == kInfinity;
+  };
   EXPECT_TRUE(has_none(At(Even(10.0F), 10.5F, 8.5F)));
   Measurement m = Even(2.0F);
   m.flags.at(10, 8) = kSaturatedB;
