@@ -153,10 +153,25 @@ class ExrHeader {
   exr_context_t context_ = nullptr;
 };
 
-// Whether a file may be what it says, before anything of that size is made. OpenEXR's C library
-// holds every size in a header against the file's; the C++ library believes them, and gives an
-// attribute of a small file up to 2 GiB before it reads it.
-Status CheckSizes(const std::filesystem::path& path) {
+struct ExrSize {
+  std::int64_t width = 0;
+  std::int64_t height = 0;
+  std::size_t channels = 0;
+  bool operator==(const ExrSize&) const = default;
+};
+
+ExrSize SizeOf(const Imf::Header& header) {
+  const Imath::Box2i& window = header.dataWindow();
+  ExrSize size{std::int64_t{window.max.x} - window.min.x + 1,
+               std::int64_t{window.max.y} - window.min.y + 1, 0};
+  for (auto it = header.channels().begin(); it != header.channels().end(); ++it) ++size.channels;
+  return size;
+}
+
+// What a file says it is, if it may be that, before anything of that size is made. OpenEXR's C
+// library holds every size in a header against the file's; the C++ library believes them, and gives
+// an attribute of a small file up to 2 GiB before it reads it.
+Result<ExrSize> CheckedSize(const std::filesystem::path& path) {
   const ExrHeader header(path);
   if (!ExrHeader::reason().empty()) {
     return Fail(ErrorKind::kData, "{}: {}", path.string(), ExrHeader::reason());
@@ -186,7 +201,7 @@ Status CheckSizes(const std::filesystem::path& path) {
                 "{}: {} bytes for {} channels of {}x{} pixels, expected at least {}", path.string(),
                 stored, channels, width, height, bytes / kMaxCompression);
   }
-  return {};
+  return ExrSize{width, height, channels};
 }
 
 ExrAttributes ReadAttributes(const Imf::Header& header) {
@@ -315,16 +330,24 @@ Status WriteExrAtomic(const std::filesystem::path& path, const std::vector<ExrCh
 }
 
 Result<ExrImage> ReadExr(const std::filesystem::path& path) {
-  OMNIHDR_TRY(CheckSizes(path));
+  OMNIHDR_ASSIGN(const ExrSize checked, CheckedSize(path));
   try {
     Imf::InputFile file(path.c_str());
-    const Imath::Box2i window = file.header().dataWindow();
-    const int width = window.max.x - window.min.x + 1;
-    const int height = window.max.y - window.min.y + 1;
+    // Two libraries read it: what one has checked must be what the other goes by.
+    const ExrSize size = SizeOf(file.header());
+    if (size != checked) {
+      return Fail(ErrorKind::kData,
+                  "{}: a header that reads as {} channels of {}x{} pixels and as {} of {}x{}, "
+                  "expected one that reads in one way",
+                  path.string(), checked.channels, checked.width, checked.height, size.channels,
+                  size.width, size.height);
+    }
+    const Imath::Box2i& window = file.header().dataWindow();
+    const std::int64_t width = size.width;
     if (!file.isComplete()) return Fail(ErrorKind::kData, "{}: truncated EXR file", path.string());
     ExrImage image;
-    image.width = width;
-    image.height = height;
+    image.width = static_cast<int>(size.width);
+    image.height = static_cast<int>(size.height);
     Imf::FrameBuffer frame_buffer;
     for (auto it = file.header().channels().begin(); it != file.header().channels().end(); ++it) {
       if (it.channel().xSampling != 1 || it.channel().ySampling != 1) {

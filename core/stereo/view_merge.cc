@@ -91,6 +91,7 @@ class WellExposed {
     const float y = Cleaner(mine_y, theirs_y);
     return y >= low_ && y <= high_;
   }
+  // Whether the reference is the cleaner one.
   bool by_mine() const { return by_mine_; }
   float Cleaner(float mine_y, float theirs_y) const { return by_mine_ ? mine_y : theirs_y; }
 
@@ -409,7 +410,8 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
       std::vector<AgreementField::Residual> residuals;
       std::vector<float> exposure_ratios;
       const WellExposed well_exposed(own, *source.measurement);
-      const bool by_source = !well_exposed.by_mine();
+      const auto ratio_of = well_exposed.by_mine() ? AgreementField::Ratio::kSourceToReference
+                                                   : AgreementField::Ratio::kReferenceToSource;
       const int blocks_x = (width + kBlock - 1) / kBlock;
       const int blocks_y = (height + kBlock - 1) / kBlock;
       std::vector<BlockSums> blocks(static_cast<std::size_t>(blocks_x) *
@@ -460,13 +462,12 @@ MergedView MergeViews(const MergeSource& reference, const DisparityMap* map,
           const int cell = static_cast<int>((static_cast<float>(y) + 0.5F) * cells_per_pixel_y) *
                                AgreementField::kWidth +
                            static_cast<int>((static_cast<float>(x) + 0.5F) * cells_per_pixel_x);
-          residuals.push_back({cell, by_source ? ratio : 1.0F / ratio,
+          residuals.push_back({cell, well_exposed.by_mine() ? 1.0F / ratio : ratio,
                                (noise + contrast * contrast) / (signal * signal)});
         }
       }
       if (!options.consistency) residuals.clear();  // a field of ones
-      source.agreement.Fit(residuals, by_source ? AgreementField::Ratio::kReferenceToSource
-                                                : AgreementField::Ratio::kSourceToReference);
+      source.agreement.Fit(residuals, ratio_of);
       source.exposure_ratio = Median(std::move(exposure_ratios));
       source.block_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);
       source.clipped_trust = Image<float>(blocks_x, blocks_y, 1, 1.0F);

@@ -90,6 +90,7 @@ std::string DescribeExposureTest(const ExposureTest& test, const MergeOptions& o
 // bound of a view that is clipped there counts unless the disparity is sure. On the rim of a
 // clipped area, where an output pixel lies between clipped pixels and others, the reference's blend
 // is such a bound, and what is found in the other views is taken for the clipped part of it alone.
+// A reference pixel too dark to contradict anything is helped by those around it (dark_surround.h).
 // Where the reference is masked, others fill in only where the disparity is trusted. `map` is the
 // reference's disparity (world-aligned lat-long, holes filled) or null: merge by rotation alone,
 // disparity unknown.
